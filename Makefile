@@ -1,0 +1,59 @@
+# Every target sets up what it needs: system packages (.ci/system-packages) and a virtual environment in .venv with the
+# package installed for editing. Python files take effect as they are; a change in the C++ core is compiled on the next
+# call; a change in pyproject.toml installs again. `make PYTHON=python3.12 test` picks the interpreter of a new .venv.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(CURDIR)/$(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+CORE := $(wildcard pmc_sampler/core/*)
+DEMO_ARGS ?= -o demo/
+BENCH_ARGS ?= -o benchmarks/
+PYTEST_ARGS ?=
+
+.PHONY: demo test test-long bench lint setup system-packages clean
+.DEFAULT_GOAL := test
+
+demo: setup
+	$(BIN)/python examples/demo.py $(DEMO_ARGS)
+
+# `pytest`, not `python -m pytest`: the latter would put the checkout on sys.path.
+test: setup
+	$(BIN)/pytest $(PYTEST_ARGS)
+
+test-long: setup
+	$(BIN)/pytest -m long $(PYTEST_ARGS)
+
+bench: setup
+	$(BIN)/python -m pmc_sampler.eval.bench_samplers $(BENCH_ARGS)
+
+# mypy does not follow editable installs: it checks an installed copy, from a folder without sources.
+lint: setup
+	$(BIN)/pre-commit run --all-files
+	@rm -rf build/lint && mkdir -p build/lint/empty
+	$(PIP) install --no-deps --no-build-isolation --target build/lint/installed .
+	cd build/lint/empty && MYPYPATH=../installed $(BIN)/mypy --config-file ../../../pyproject.toml -p pmc_sampler
+
+clean:
+	rm -rf $(VENV) build dist demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+setup: $(VENV)/.built
+
+system-packages:
+	@PYTHON=$(PYTHON) .ci/system-packages
+
+$(VENV)/.created: | system-packages
+	@echo "Setting up $(VENV); this takes a few minutes the first time."
+	$(PYTHON) -m venv --clear $(VENV)
+	$(PIP) install --upgrade 'pip>=25.1'
+	@touch $@
+
+# Without isolation the build folder stays valid, so that a rebuild compiles only what changed.
+$(VENV)/.installed: pyproject.toml $(VENV)/.created
+	$(PIP) install --group build
+	$(PIP) install --no-build-isolation --editable '.[dev]'
+	@touch $@
+
+$(VENV)/.built: $(VENV)/.installed CMakeLists.txt $(CORE)
+	$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@

@@ -1,0 +1,72 @@
+"""What every test shares: optional parts that may be missing, and where the checkout is.
+
+A test that needs something which is not always there says so by its name, a Python module or a program:
+
+    pytestmark = pytest.mark.needs("mitsuba")            # a whole module, or one test as a decorator
+
+    def test_export(require):
+        OpenImageIO = require("OpenImageIO")             # the module; the path, for a program
+
+Where it is missing the test is skipped with a sentence; with CI set (and not to 0 or false) it fails.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+# Names that are programs, not Python modules, with the package to install.
+PROGRAMS = {"povray": "povray", "c++": "g++", "cmake": "cmake"}
+
+
+def under_ci() -> bool:
+    """Whether a missing part is a failure."""
+    return os.environ.get("CI", "").lower() not in ("", "0", "false", "no")
+
+
+def find(name: str) -> ModuleType | str:
+    """The module called `name`, or the path of the program; raises LookupError with what to install."""
+    if name in PROGRAMS:
+        path = shutil.which(name)
+        if path is None:
+            raise LookupError(f"needs the program {name}: install the package {PROGRAMS[name]}")
+        return path
+    try:
+        return importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise LookupError(f"needs the Python module {name} ({error}): pip install '.[all]'") from None
+
+
+def require_or_stop(name: str) -> ModuleType | str:
+    """`find(name)`; where that fails, skips the running test, or fails it under CI."""
+    try:
+        return find(name)
+    except LookupError as error:
+        if under_ci():
+            pytest.fail(f"{error} (CI is set, where nothing may be missing)", pytrace=False)
+        pytest.skip(str(error))
+
+
+@pytest.fixture(scope="session")
+def require() -> Callable[[str], ModuleType | str]:
+    """A function that gives a module or a program's path, or skips (under CI: fails) the test."""
+    return require_or_stop
+
+
+@pytest.fixture(scope="session")
+def checkout() -> Path:
+    """The root of the checkout."""
+    return Path(__file__).resolve().parents[1]
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Carries out the `needs` marks."""
+    for mark in item.iter_markers("needs"):
+        for name in mark.args:
+            require_or_stop(name)
