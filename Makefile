@@ -10,7 +10,7 @@ DEMO_ARGS ?= -o demo/
 BENCH_ARGS ?= -o benchmarks/
 PYTEST_ARGS ?=
 
-.PHONY: demo test test-long bench lint setup system-packages clean
+.PHONY: demo test test-long bench lint types setup system-packages clean
 .DEFAULT_GOAL := test
 
 demo: setup
@@ -26,12 +26,15 @@ test-long: setup
 bench: setup
 	$(BIN)/python -m pmc_sampler.eval.bench_samplers $(BENCH_ARGS)
 
-# mypy does not follow editable installs: it checks an installed copy, from a folder without sources.
 lint: setup
 	$(BIN)/pre-commit run --all-files
-	@rm -rf build/lint && mkdir -p build/lint/empty
-	$(PIP) install --no-deps --no-build-isolation --target build/lint/installed .
-	cd build/lint/empty && MYPYPATH=../installed $(BIN)/mypy --config-file ../../../pyproject.toml -p pmc_sampler
+	$(MAKE) --no-print-directory types
+
+# mypy does not follow editable installs: it checks an installed copy, from a folder without sources.
+types: setup
+	@rm -rf build/types && mkdir -p build/types/empty
+	$(PIP) install --no-deps --no-build-isolation --target build/types/installed .
+	cd build/types/empty && MYPYPATH=../installed $(BIN)/mypy --config-file ../../../pyproject.toml -p pmc_sampler
 
 clean:
 	rm -rf $(VENV) build dist demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov

@@ -27,7 +27,7 @@ def test_extras() -> None:
 @pytest.mark.parametrize("name", ["adapters", "eval", "scenes"])
 def test_folders_install_inside_the_package(name: str) -> None:
     assert importlib.util.find_spec(f"pmc_sampler.{name}") is not None
-    # Were the checkout on sys.path, every one's `import eval` would find ours; `python -m pytest` puts it there.
+    # Were the checkout on sys.path, every `import eval` would find ours.
     assert importlib.util.find_spec(name) is None, "run `pytest` or `make test`, not `python -m pytest`"
 
 
