@@ -10,7 +10,7 @@ DEMO_ARGS ?= -o demo/
 BENCH_ARGS ?= -o benchmarks/
 PYTEST_ARGS ?=
 
-.PHONY: demo test test-long bench lint types setup system-packages clean
+.PHONY: demo test test-long coverage bench lint types setup system-packages clean
 .DEFAULT_GOAL := test
 
 demo: setup
@@ -22,6 +22,9 @@ test: setup
 
 test-long: setup
 	$(BIN)/pytest -m long $(PYTEST_ARGS)
+
+coverage: setup
+	$(BIN)/pytest --cov $(PYTEST_ARGS)
 
 bench: setup
 	$(BIN)/python -m pmc_sampler.eval.bench_samplers $(BENCH_ARGS)
