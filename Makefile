@@ -27,7 +27,7 @@ coverage: setup
 	$(BIN)/pytest --cov $(PYTEST_ARGS)
 
 bench: setup
-	$(BIN)/python -m pmc_sampler.eval.bench_samplers $(BENCH_ARGS)
+	$(BIN)/python benchmarks/samplers.py $(BENCH_ARGS)
 
 lint: setup
 	$(BIN)/pre-commit run --all-files

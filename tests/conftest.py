@@ -38,8 +38,15 @@ def find(name: str) -> ModuleType | str:
             raise LookupError(f"needs the program {name}: install the package {PROGRAMS[name]}")
         return path
     try:
+        if name == "mitsuba":
+            # First: it points Dr.Jit to an LLVM library that works, and tells where there is none.
+            llvm = importlib.import_module("pmc_sampler.adapters.mitsuba.llvm")
+            try:
+                llvm.require()
+            except llvm.LibraryError as error:
+                raise LookupError(f"needs Mitsuba: {error}") from None
         return importlib.import_module(name)
-    except ModuleNotFoundError as error:
+    except ImportError as error:
         raise LookupError(f"needs the Python module {name} ({error}): pip install '.[all]'") from None
 
 
