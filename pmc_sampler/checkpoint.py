@@ -1,0 +1,58 @@
+"""The checkpoint file: a NumPy .npz archive of byte blocks and a JSON header. It is data: nothing in it is executed."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+FORMAT = "pmc_sampler checkpoint"
+VERSION = 1
+Blocks = dict[str, npt.NDArray[np.uint8]]
+
+
+def write(path: Path, header: Mapping[str, Any], blocks: Mapping[str, npt.NDArray[np.uint8]]) -> None:
+    """Writes beside `path` and renames, so that an older checkpoint stays whole until the new one is.
+
+    Raises OSError with the path where it cannot be written.
+    """
+    text = json.dumps({"format": FORMAT, "version": VERSION, **header}).encode()
+    handle, name = tempfile.mkstemp(prefix=path.name + ".", suffix=".part", dir=path.parent)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            np.savez(file, header=np.frombuffer(text, np.uint8), **blocks)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(name, path)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def read(path: Path) -> tuple[dict[str, Any], Blocks]:
+    """Header and blocks. Raises FileNotFoundError, or ValueError for what is not a whole checkpoint of this version."""
+    if not path.is_file():
+        raise FileNotFoundError(f"no checkpoint at {str(path)!r}")
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            blocks = {name: archive[name] for name in archive.files}
+        header = json.loads(blocks.pop("header").tobytes())
+        if header.get("format") != FORMAT:
+            raise ValueError("its header is not a checkpoint's")
+        if any(block.dtype != np.uint8 or block.ndim != 1 for block in blocks.values()):
+            raise ValueError("a block does not hold bytes")
+    except (OSError, EOFError, KeyError, AttributeError, ValueError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"{str(path)!r} is no whole pmc_sampler checkpoint: {error}") from error
+    if header.get("version") != VERSION:
+        raise ValueError(
+            f"{str(path)!r} is a checkpoint of version {header.get('version')}: this version of pmc_sampler reads {VERSION}"
+        )
+    return header, blocks

@@ -1,0 +1,152 @@
+// From proposals (film slots in any order) to a batch: sorted by tile and pixel, each sample with its index, scramble and place.
+#pragma once
+
+#include <algorithm>
+#include <cstdint>
+#include <vector>
+
+#include "batch.hpp"
+#include "filter.hpp"
+#include "memory.hpp"
+#include "parallel.hpp"
+#include "random.hpp"
+#include "tiling.hpp"
+
+// The loops over random numbers are compiled for several instruction sets and chosen at run time; they hold integer arithmetic
+// and exact conversions only, so the bits are the same on all. Sanitizers do not bear such functions.
+#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) && !defined(__SANITIZE_THREAD__) && \
+    !defined(__SANITIZE_ADDRESS__)
+#define PMC_MULTIVERSION __attribute__((target_clones("avx512f", "avx2", "default")))
+#else
+#define PMC_MULTIVERSION
+#endif
+
+namespace pmc {
+
+// Proposals in the order of their making; those of the pool come last, with the pass they belong to.
+struct Proposals {
+    Buffer<std::uint32_t> slot;
+    Buffer<std::uint8_t> tag;
+    Buffer<std::uint32_t> pass;  // of the last pass.size() proposals
+    std::size_t size() const { return slot.size(); }
+};
+
+// Keys of the two sequences of a pixel: the adaptive samples' and the pool's must not be ranges of one sequence, or the
+// expected value of a pool sample would depend on what steered the others.
+struct ScrambleKeys {
+    std::uint32_t adaptive, pool;
+    explicit ScrambleKeys(std::uint32_t seed) : adaptive(mix(seed, 1)), pool(mix(seed, 2)) {}
+};
+
+// Scrambles, and places in the pixel's square in [0, 1)^2, for samples [0, n).
+PMC_MULTIVERSION inline void draw_places(const std::uint32_t* pixel, const std::uint32_t* index, const std::uint8_t* tag, std::size_t n,
+                                         ScrambleKeys keys, std::uint32_t* scramble, Point2* places) {
+    for (std::size_t i = 0; i < n; ++i) {
+        const std::uint32_t s = mix((tag[i] & Tag::pool) ? keys.pool : keys.adaptive, pixel[i]);
+        scramble[i] = s;
+        places[i] = sobol_pair(s, index[i], 0);
+    }
+}
+
+class Arranger {
+public:
+    Arranger(const Tiling& tiling, std::uint32_t seed, Filter filter, double filter_radius)
+        : tiling_(tiling), keys_(seed), filter_(filter, filter_radius) {}
+
+    // `drawn` counts each pixel's adaptive samples and is advanced.
+    void operator()(const Proposals& proposals, Zeroed<std::uint32_t>& drawn, Batch& batch, ThreadPool& threads) {
+        const std::size_t n = proposals.size(), tiles = tiling_.tiles();
+        const std::size_t first_pass = n - proposals.pass.size();
+        // A stable counting sort by tile: one histogram for each chunk of proposals, so that the order is that of the proposals
+        // whatever the number of chunks.
+        const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 65536));
+        counts_.resize(chunks * tiles);
+        const std::uint32_t* slot = proposals.slot.data();
+        threads.run(chunks, [&](std::size_t c) {
+            std::uint32_t* count = counts_.data() + c * tiles;
+            std::fill_n(count, tiles, 0u);
+            for (std::size_t i = n * c / chunks; i < n * (c + 1) / chunks; ++i) ++count[slot[i] / Tiling::area];
+        });
+        starts_.resize(tiles + 1);
+        std::uint32_t total = 0;
+        for (std::size_t t = 0; t < tiles; ++t) {
+            starts_[t] = total;
+            for (std::size_t c = 0; c < chunks; ++c) {
+                const std::uint32_t count = counts_[c * tiles + t];
+                counts_[c * tiles + t] = total;
+                total += count;
+            }
+        }
+        starts_[tiles] = total;
+        entries_.resize(n);
+        threads.run(chunks, [&](std::size_t c) {
+            std::uint32_t* next = counts_.data() + c * tiles;
+            for (std::size_t i = n * c / chunks; i < n * (c + 1) / chunks; ++i) {
+                const std::uint32_t pass = i >= first_pass ? proposals.pass[i - first_pass] : 0;
+                entries_[next[slot[i] / Tiling::area]++] = {static_cast<std::uint32_t>(i), pass, static_cast<std::uint8_t>(slot[i] % Tiling::area), proposals.tag[i]};
+            }
+        });
+        batch.positions.resize(n);
+        batch.pixel.resize(n);
+        batch.index.resize(n);
+        batch.scramble.resize(n);
+        batch.slot.resize(n);
+        batch.tag.resize(n);
+        batch.place.resize(batch.iteration_samples);
+        threads.ranges(tiles, 4, [&](std::size_t first, std::size_t last) {
+            for (std::size_t t = first; t < last; ++t)
+                if (starts_[t] < starts_[t + 1]) arrange_tile(static_cast<std::uint32_t>(t), drawn, batch);
+        });
+    }
+
+private:
+    struct Entry {
+        std::uint32_t proposal, pass;
+        std::uint8_t local, tag;
+    };
+
+    void arrange_tile(std::uint32_t tile, Zeroed<std::uint32_t>& drawn, Batch& batch) {
+        const std::size_t begin = starts_[tile], end = starts_[tile + 1];
+        std::uint32_t next[Tiling::area] = {};
+        for (std::size_t i = begin; i < end; ++i) ++next[entries_[i].local];
+        std::uint32_t place = static_cast<std::uint32_t>(begin);
+        for (std::uint32_t& count : next) {
+            const std::uint32_t c = count;
+            count = place;
+            place += c;
+        }
+        const std::uint32_t base = tile * Tiling::area, x0 = tiling_.x(base), y0 = tiling_.y(base);
+        for (std::size_t i = begin; i < end; ++i) {
+            const Entry& e = entries_[i];
+            const std::uint32_t p = next[e.local]++;
+            batch.slot[p] = base + e.local;
+            batch.tag[p] = e.tag;
+            batch.pixel[p] = (y0 + e.local / Tiling::side) * tiling_.width + x0 + e.local % Tiling::side;
+            // The pool visits a pixel once in a pass; the adaptive sequence goes on from its last sample.
+            batch.index[p] = (e.tag & Tag::pool) ? e.pass : drawn[base + e.local]++;
+            if (e.proposal - batch.first < batch.iteration_samples) batch.place[e.proposal - batch.first] = p;
+        }
+        draw_places(&batch.pixel[begin], &batch.index[begin], &batch.tag[begin], end - begin, keys_, &batch.scramble[begin], &batch.positions[begin]);
+        if (filter_.trivial()) {
+            for (std::size_t p = begin; p < end; ++p) {
+                const std::uint32_t local = batch.slot[p] - base;
+                batch.positions[p].x += static_cast<float>(x0 + local % Tiling::side);
+                batch.positions[p].y += static_cast<float>(y0 + local / Tiling::side);
+            }
+        } else {
+            for (std::size_t p = begin; p < end; ++p) {
+                const std::uint32_t local = batch.slot[p] - base;
+                batch.positions[p].x = static_cast<float>(x0 + local % Tiling::side) + 0.5f + filter_(batch.positions[p].x);
+                batch.positions[p].y = static_cast<float>(y0 + local / Tiling::side) + 0.5f + filter_(batch.positions[p].y);
+            }
+        }
+    }
+
+    Tiling tiling_;
+    ScrambleKeys keys_;
+    FilterSampler filter_;
+    Buffer<std::uint32_t> counts_, starts_;
+    Buffer<Entry> entries_;
+};
+
+}  // namespace pmc

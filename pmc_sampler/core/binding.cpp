@@ -1,0 +1,191 @@
+// The one file that knows Python. Arrays cross without a copy: a batch's are views that keep it alive.
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+#include <nanobind/stl/shared_ptr.h>
+#include <nanobind/stl/string.h>
+#include <nanobind/stl/vector.h>
+
+#include "pmc.hpp"
+
+namespace nb = nanobind;
+using namespace nb::literals;
+
+namespace {
+
+using Image = nb::ndarray<nb::numpy, float>;
+
+template <class T>
+auto view(const std::shared_ptr<const pmc::Batch>& batch, const T* data, std::size_t columns = 1) {
+    auto* owner = new std::shared_ptr<const pmc::Batch>(batch);
+    nb::capsule capsule(owner, [](void* p) noexcept { delete static_cast<std::shared_ptr<const pmc::Batch>*>(p); });
+    const std::size_t shape[2] = {batch->size(), columns};
+    return nb::ndarray<nb::numpy, const T>(data, columns == 1 ? 1 : 2, shape, capsule);
+}
+
+template <class T = float, class Fill>
+nb::ndarray<nb::numpy, T> image(const pmc::Film& film, std::size_t channels, Fill&& fill) {
+    const std::size_t shape[3] = {film.tiling.height, film.tiling.width, channels};
+    auto* data = new T[film.tiling.pixels() * channels];
+    nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
+    {
+        nb::gil_scoped_release release;
+        fill(data);
+    }
+    return {data, channels == 1 ? std::size_t(2) : std::size_t(3), shape, owner};
+}
+
+nb::dict save(pmc::Sampler& sampler) {
+    nb::dict blocks;
+    pmc::Writer writer([&](const std::string& name, std::span<const std::byte> bytes) {
+        auto* data = new std::uint8_t[bytes.size() + 1];
+        if (!bytes.empty()) std::memcpy(data, bytes.data(), bytes.size());
+        nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<std::uint8_t*>(p); });
+        blocks[name.c_str()] = nb::ndarray<nb::numpy, std::uint8_t, nb::ndim<1>>(data, {bytes.size()}, owner);
+    });
+    sampler.archive(writer);
+    return blocks;
+}
+
+void restore(pmc::Sampler& sampler, const nb::dict& blocks) {
+    std::vector<nb::ndarray<const std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>> kept;
+    pmc::Reader reader([&](const std::string& name) -> std::span<const std::byte> {
+        if (!blocks.contains(name.c_str())) throw std::runtime_error("the checkpoint has no block '" + name + "': it is damaged or of another version");
+        kept.push_back(nb::cast<nb::ndarray<const std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>>(blocks[name.c_str()]));
+        return {reinterpret_cast<const std::byte*>(kept.back().data()), kept.back().size()};
+    });
+    sampler.archive(reader);
+}
+
+}  // namespace
+
+NB_MODULE(_core, m) {
+    // Renderers in other threads may hold batches while the interpreter ends; that is no leak of ours to report.
+    nb::set_leak_warnings(false);
+
+    nb::enum_<pmc::Beta>(m, "Beta").value("gain", pmc::Beta::gain).value("variance", pmc::Beta::variance);
+    nb::enum_<pmc::Filter>(m, "Filter")
+        .value("box", pmc::Filter::box)
+        .value("tent", pmc::Filter::tent)
+        .value("gaussian", pmc::Filter::gaussian)
+        .value("blackman_harris", pmc::Filter::blackman_harris);
+
+    nb::class_<pmc::Config>(m, "Config")
+        .def(nb::init<>())
+#define FIELD(name) .def_rw(#name, &pmc::Config::name)
+        FIELD(batch) FIELD(initial_spp) FIELD(pool_share) FIELD(direct_share) FIELD(lookahead)
+        FIELD(population) FIELD(moves) FIELD(radii) FIELD(eliminate) FIELD(regenerate_pool) FIELD(regenerate_jitter)
+        FIELD(evaluate_regenerated) FIELD(adapt_alpha_every) FIELD(adapt_beta_every) FIELD(alpha_floor)
+        FIELD(alpha_memory) FIELD(beta) FIELD(beta_power) FIELD(white_luminance) FIELD(filter) FIELD(filter_radius)
+        FIELD(correction) FIELD(correction_sigma) FIELD(correction_knee)
+#undef FIELD
+        .def("check", nb::overload_cast<>(&pmc::Config::check, nb::const_))
+        .def("check_image", nb::overload_cast<std::uint32_t, std::uint32_t>(&pmc::Config::check, nb::const_));
+
+    nb::class_<pmc::Budget>(m, "Budget")
+        .def(nb::init<>())
+        .def_rw("spp", &pmc::Budget::spp)
+        .def_rw("seconds", &pmc::Budget::seconds)
+        .def_rw("visible_noise", &pmc::Budget::visible_noise)
+        .def("check", &pmc::Budget::check);
+
+    using BatchPtr = std::shared_ptr<const pmc::Batch>;
+    nb::class_<pmc::Batch>(m, "Batch")
+        .def("__len__", &pmc::Batch::size)
+        .def_ro("number", &pmc::Batch::number);
+    m.def("batch_arrays", [](BatchPtr b) {
+        return nb::make_tuple(view(b, reinterpret_cast<const float*>(b->positions.data()), 2), view(b, b->pixel.data()),
+                              view(b, b->index.data()), view(b, b->scramble.data()));
+    });
+
+    nb::class_<pmc::Sampler>(m, "Sampler")
+        .def(nb::init<std::uint32_t, std::uint32_t, const pmc::Budget&, const pmc::Config&, std::uint64_t, std::uint32_t, unsigned>(),
+             "width"_a, "height"_a, "budget"_a, "config"_a, "seed"_a, "aovs"_a, "threads"_a)
+        .def("ask", [](pmc::Sampler& s) { return std::const_pointer_cast<pmc::Batch>(s.ask()); }, nb::call_guard<nb::gil_scoped_release>())
+        .def("tell",
+             [](pmc::Sampler& s, const pmc::Batch& batch, nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> radiance) {
+                 const std::span<const float> values(radiance.data(), radiance.size());
+                 nb::gil_scoped_release release;
+                 s.tell(batch, values);
+             })
+        .def("drop", &pmc::Sampler::drop, nb::call_guard<nb::gil_scoped_release>())
+        .def("put_back", &pmc::Sampler::put_back, nb::call_guard<nb::gil_scoped_release>())
+        .def("done", [](pmc::Sampler& s) { return static_cast<int>(s.done()); })
+        .def_prop_ro("samples", &pmc::Sampler::samples)
+        .def_prop_ro("rejected", &pmc::Sampler::rejected)
+        .def_prop_ro("total", [](const pmc::Sampler& s) -> nb::object {
+            return s.total() == pmc::Sampler::unlimited ? nb::none() : nb::object(nb::int_(s.total()));
+        })
+        .def_prop_ro("elapsed", &pmc::Sampler::elapsed)
+        .def("visible_noise", [](const pmc::Sampler& s) { return s.film().visible_noise(); })
+        .def("mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::corrected_mean(s.film(), s.config, o, s.threads()); }); })
+        .def("plain_mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::plain_mean(s.film(), o, s.threads()); }); })
+        .def("standard_error", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::standard_error(s.film(), o, s.threads()); }); })
+        .def("strategy", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::strategy(s.film(), o, s.threads()); }); })
+        .def("halves", [](pmc::Sampler& s) {
+            std::vector<float> second(s.film().tiling.pixels() * 3);
+            auto a = image(s.film(), 3, [&](float* o) { pmc::halves(s.film(), o, second.data(), s.threads()); });
+            auto b = image(s.film(), 3, [&](float* o) { std::copy(second.begin(), second.end(), o); });
+            return nb::make_tuple(a, b);
+        })
+        .def("counts", [](pmc::Sampler& s) {
+            return image<std::uint32_t>(s.film(), 1, [&](std::uint32_t* o) {
+                pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = s.film().sums[slot].n; });
+            });
+        })
+        .def("pool_mean", [](pmc::Sampler& s) {
+            return image(s.film(), 3, [&](float* o) {
+                pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { std::copy_n(s.film().sums[slot].pool_mean, 3, o + 3 * i); });
+            });
+        })
+        .def("beta", [](pmc::Sampler& s) {
+            return image(s.film(), 1, [&](float* o) {
+                pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = s.film().beta(slot); });
+            });
+        })
+        .def("alpha", [](pmc::Sampler& s) {
+            const std::size_t kernels = s.config.kernels(), width = s.film().tiling.width;
+            auto flat = image(s.film(), 3, [&](float* o) {
+                for (std::size_t i = 0; i < s.film().tiling.pixels(); ++i) {
+                    const auto a = s.alpha().at(static_cast<std::uint32_t>(i % width), static_cast<std::uint32_t>(i / width));
+                    std::copy_n(a.data(), 3, o + 3 * i);
+                }
+            });
+            return nb::make_tuple(flat, kernels);
+        })
+        .def("aovs", [](pmc::Sampler& s) {
+            const pmc::Film& film = s.film();
+            const std::size_t c = film.aovs, shape[3] = {film.tiling.height, film.tiling.width, c};
+            auto* data = new float[film.tiling.pixels() * c + 1];
+            nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<float*>(p); });
+            pmc::for_each_pixel(film, s.threads(), [&](std::size_t i, std::size_t slot) {
+                for (std::size_t k = 0; k < c; ++k) data[i * c + k] = film.sums[slot].n ? static_cast<float>(film.aov_sums[slot * c + k] / film.sums[slot].n) : 0.0f;
+            });
+            return nb::ndarray<nb::numpy, float>(data, 3, shape, owner);
+        })
+        .def("save", &save)
+        .def("restore", &restore);
+
+    m.def("tvi", [](nb::ndarray<const double, nb::ndim<1>, nb::c_contig, nb::device::cpu> luminance) {
+        auto* data = new double[luminance.size() + 1];
+        nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<double*>(p); });
+        for (std::size_t i = 0; i < luminance.size(); ++i) data[i] = pmc::tvi(luminance.data()[i]);
+        return nb::ndarray<nb::numpy, double, nb::ndim<1>>(data, {luminance.size()}, owner);
+    });
+
+    // Pieces that tests hold against their definitions.
+    m.def("sobol_pair", [](std::uint32_t scramble, std::uint32_t index, std::uint32_t pair) {
+        const auto p = pmc::sobol_pair(scramble, index, pair);
+        return nb::make_tuple(p.x, p.y);
+    });
+    m.def("reflect", &pmc::reflect);
+    m.def("filter_offset", [](pmc::Filter filter, double radius, std::vector<float> u) {
+        const pmc::FilterSampler sample(filter, radius);
+        for (float& x : u) x = sample(x);
+        return u;
+    });
+    m.def("fast_tvi", [](float luminance) {
+        static const pmc::TviTable table;
+        return table(luminance);
+    });
+    m.attr("film_bytes_per_pixel") = sizeof(pmc::PixelSums) + sizeof(std::uint32_t) + sizeof(float);
+}

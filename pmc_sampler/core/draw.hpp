@@ -1,0 +1,170 @@
+// How a batch is drawn; the second half of Sampler.
+#pragma once
+
+#include "sampler.hpp"
+
+namespace pmc {
+
+// The random streams of a batch.
+namespace stream {
+enum : std::uint32_t { eliminate = 16, place, move, offset };
+}
+
+inline std::uint64_t Sampler::batch_size() const {
+    // A small image takes several samples a pixel at once: below a few thousand samples the cost of a batch is its overhead.
+    return config.batch ? config.batch : std::max<std::uint64_t>(film_.tiling.pixels(), 4096);
+}
+
+// Draws the next batch and queues it; false where the budget is spent.
+inline bool Sampler::prepare() {
+    const std::uint64_t left = total_ - issued_;
+    if (left == 0) return false;
+    auto batch = std::make_shared<Batch>();
+    batch->number = drawn_batches_;
+    batch->owner = id_;
+    pool_slots_.clear();
+    pool_passes_.clear();
+    if (issued_ < initial_ || config.is_uniform()) {
+        const std::uint64_t room = config.is_uniform() ? left : initial_ - issued_;
+        fill(*batch, std::min({left, room, batch_size()}), 0, nullptr);
+    } else {
+        const SystematicDraw beta(film_, threads_);
+        draw_adaptive(*batch, left, beta);
+    }
+    arranger_(proposals_, film_.drawn, *batch, threads_);
+    issued_ += batch->size();
+    ++drawn_batches_;
+    prepared_.push_back(std::move(batch));
+    return true;
+}
+
+inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta) {
+    const double own_share = (1.0 - config.pool_share) * (1.0 - config.direct_share);
+    std::uint64_t size = std::min(left, batch_size());
+    const auto share_of = [](double share, std::uint64_t n) { return static_cast<std::uint64_t>(std::llround(share * static_cast<double>(n))); };
+    if (own_share > 0.0) {
+        regenerate(batch, share_of(own_share, batch_size()), beta);
+        const std::uint64_t own = population_of(batch.number).members.size() * config.moves + batch.evaluated.size();
+        if (config.population) size = std::min(left, static_cast<std::uint64_t>(std::llround(static_cast<double>(own) / own_share)));
+        // The end of the budget may cut an iteration short: then every so many of its proposals are left out.
+        batch.iteration_samples = config.population && size < left ? own : std::min(own, share_of(own_share, size));
+    }
+    const bool known = beta.total() > 0.0;
+    std::uint64_t pool = std::min(share_of(config.pool_share, size), size - batch.iteration_samples);
+    std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
+    fill(batch, size, direct, &beta);
+}
+
+// One resampling of the population whose turn it is (paper, Figure 2): adapt, eliminate, regenerate.
+inline void Sampler::regenerate(Batch& batch, std::uint64_t room, const SystematicDraw& beta) {
+    Population& population = population_of(batch.number);
+    std::vector<std::uint32_t> replaced;
+    double evaluated_share = config.evaluate_regenerated ? 1.0 : 0.0;
+    if (population.members.empty()) {
+        const double per_member = config.moves + (config.evaluate_regenerated ? config.eliminate : 0.0);
+        const std::uint64_t n = config.population ? config.population : static_cast<std::uint64_t>(static_cast<double>(room) / std::max(per_member, 1e-9));
+        population.members.resize(std::min<std::uint64_t>(n, film_.tiling.pixels()));
+        replaced.resize(population.members.size());
+        std::iota(replaced.begin(), replaced.end(), 0u);
+        // A first iteration regenerates all; where the population was sized to fill the batch, no more are evaluated than later.
+        if (!config.population) evaluated_share *= config.eliminate;
+    } else {
+        if (population.iteration % config.adapt_alpha_every == 0) population.adapt(config, memory_);
+        replaced = population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number));
+        for (const std::uint32_t m : replaced) Population::adapt(population.members[m], config, memory_);
+    }
+    ++population.iteration;
+
+    const std::size_t n = replaced.size();
+    const bool known = beta.total() > 0.0;
+    const std::size_t by_pool = known ? static_cast<std::size_t>(std::llround(config.regenerate_pool * static_cast<double>(n))) : n;
+    const std::size_t by_beta = n - by_pool;
+    const Stream place(seed, stream::place, batch.number);
+    drawn_slots_.resize(n);
+    if (by_beta) beta(by_beta, Stream(seed, stream::offset, batch.number).uniform(0), drawn_slots_.data(), threads_);
+    // Members evaluated where the pool put them are samples of the pool's stream.
+    const std::size_t pool_before = pool_slots_.size();
+    from_pool(by_pool);
+    std::copy(pool_slots_.begin() + static_cast<std::ptrdiff_t>(pool_before), pool_slots_.end(), drawn_slots_.data() + by_beta);
+    const auto jitter = static_cast<float>(config.regenerate_jitter);
+    const float width = static_cast<float>(film_.tiling.width), height = static_cast<float>(film_.tiling.height);
+    threads_.ranges(n, 1024, [&](std::size_t first, std::size_t last) {
+        for (std::size_t i = first; i < last; ++i) {
+            const auto counter = static_cast<std::uint32_t>(i);
+            float x = static_cast<float>(film_.tiling.x(drawn_slots_[i])) + place.uniform(counter, 0);
+            float y = static_cast<float>(film_.tiling.y(drawn_slots_[i])) + place.uniform(counter, 1);
+            if (jitter > 0.0f && i < by_beta) {
+                x += jitter * (2.0f * place.uniform(counter, 2) - 1.0f);
+                y += jitter * (2.0f * place.uniform(counter, 3) - 1.0f);
+            }
+            population.place(replaced[i], reflect(x, width), reflect(y, height), memory_);
+        }
+    });
+    if (evaluated_share <= 0.0) {
+        pool_slots_.resize(pool_before);
+        pool_passes_.resize(pool_before);
+    } else if (evaluated_share < 1.0 && by_beta == n) {
+        for (std::size_t i = 0; i < n; ++i)
+            if (std::floor(static_cast<double>(i + 1) * evaluated_share) > std::floor(static_cast<double>(i) * evaluated_share))
+                batch.evaluated.push_back(replaced[i]);
+    } else {
+        batch.evaluated = std::move(replaced);
+    }
+}
+
+// Lays out a batch of `size` samples: `direct` draws from beta, the population's (batch.iteration_samples of them: moves, then
+// regenerated members, those of the pool last), and the pool's for the rest.
+inline void Sampler::fill(Batch& batch, std::uint64_t size, std::uint64_t direct, const SystematicDraw* beta) {
+    Population& population = population_of(batch.number);
+    const std::size_t own = batch.iteration_samples, moved = own ? population.members.size() * config.moves : 0;
+    const std::size_t placed = own ? batch.evaluated.size() : 0, in_pool = own ? pool_slots_.size() : 0;
+    proposals_.slot.resize(direct + moved + placed + size);
+    proposals_.tag.resize(direct + moved + placed + size);
+    std::uint32_t* slot = proposals_.slot.data();
+    std::uint8_t* tag = proposals_.tag.data();
+    if (direct) {
+        (*beta)(direct, Stream(seed, stream::offset, batch.number).uniform(1), slot, threads_);
+        std::fill_n(tag, direct, Tag::no_kernel);
+    }
+    // Regenerated members are evaluated where they are now, before they move.
+    std::size_t next = direct + moved;
+    for (std::size_t i = 0; i + in_pool < placed; ++i, ++next) {
+        const Member& member = population.members[batch.evaluated[i]];
+        slot[next] = film_.tiling.slot(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y));
+        tag[next] = Tag::no_kernel;
+    }
+    if (moved) population.move(config, film_.tiling, Stream(seed, stream::move, batch.number), slot + direct, tag + direct, threads_);
+    batch.first = direct;
+    if (direct + own < next + in_pool) {
+        // Cut short by the end of the budget: keep evenly spaced proposals; the members learn nothing from this one.
+        const std::size_t keep = own - std::min(own, in_pool), from = next - direct;
+        for (std::size_t i = 0; i < keep; ++i) {
+            const std::size_t source = direct + i * from / std::max<std::size_t>(keep, 1);
+            slot[direct + i] = slot[source];
+            tag[direct + i] = tag[source];
+        }
+        next = direct + keep;
+        batch.iteration_samples = 0;
+        batch.evaluated.clear();
+    }
+    if (size > next + pool_slots_.size()) from_pool(size - next - pool_slots_.size());
+    pool_slots_.resize(size - next);
+    pool_passes_.resize(size - next);
+    proposals_.slot.resize(size);
+    proposals_.tag.resize(size);
+    proposals_.pass.resize(size - next);
+    std::copy(pool_slots_.begin(), pool_slots_.end(), slot + next);
+    std::fill_n(tag + next, size - next, static_cast<std::uint8_t>(Tag::pool | Tag::no_kernel));
+    std::copy(pool_passes_.begin(), pool_passes_.end(), proposals_.pass.data());
+}
+
+inline void Sampler::from_pool(std::size_t count) {
+    pool_slots_.reserve(pool_slots_.size() + count);
+    pool_passes_.reserve(pool_passes_.size() + count);
+    pool_.take(count, [&](std::uint32_t slot, std::uint32_t pass) {
+        pool_slots_.push_back(slot);
+        pool_passes_.push_back(pass);
+    });
+}
+
+}  // namespace pmc

@@ -1,0 +1,58 @@
+// Luminance and the threshold-versus-intensity function.
+#pragma once
+
+#include <array>
+#include <bit>
+#include <cmath>
+#include <cstdint>
+
+namespace pmc {
+
+// Rec. 709 luminance of linear RGB.
+constexpr double luminance(double r, double g, double b) { return 0.2126 * r + 0.7152 * g + 0.0722 * b; }
+constexpr float luminance(float r, float g, float b) { return 0.2126f * r + 0.7152f * g + 0.0722f * b; }
+
+// Just noticeable luminance difference at adaptation luminance L, both in cd/m2: the rod and cone curves of Ferwerda et al.
+// 1996 (doi:10.1145/237170.237262) joined as in Ward Larson et al. 1997 (doi:10.1109/2945.646233). Zero, negative and
+// denormal L give the darkness threshold 10^-2.86, infinity gives infinity, NaN gives NaN.
+inline double tvi(double L) {
+    if (L != L) return L;
+    const double a = L > 0.0 ? std::log10(L) : -1e3;
+    double exponent;
+    if (a < -3.94)
+        exponent = -2.86;
+    else if (a < -1.44)
+        exponent = std::pow(0.405 * a + 1.6, 2.18) - 2.86;
+    else if (a < -0.0184)
+        exponent = a - 0.395;
+    else if (a < 1.9)
+        exponent = std::pow(0.249 * a + 0.65, 2.7) - 0.72;
+    else
+        exponent = a - 1.255;
+    return std::pow(10.0, exponent);
+}
+
+// tvi by linear interpolation between exact values, 32 to the octave: within 0.1 % of tvi away from its two small jumps. It
+// steers the sampler, where pow and log10 at every touched pixel would cost more than all else; figures use tvi itself.
+class TviTable {
+public:
+    TviTable() {
+        for (std::uint32_t i = 0; i < entries; ++i) values_[i] = static_cast<float>(tvi(std::bit_cast<float>(low + (i << shift))));
+    }
+    float operator()(float L) const {
+        const float lowest = std::bit_cast<float>(low);
+        if (!(L > lowest)) return values_[0];
+        const std::uint32_t offset = std::bit_cast<std::uint32_t>(L) - low;
+        const std::uint32_t i = offset >> shift;
+        if (i + 1 >= entries) return L * 0.05559043f;  // 10^-1.255: the curve is a straight line from 79 cd/m2 on
+        const float t = static_cast<float>(offset & ((1u << shift) - 1)) * (1.0f / (1u << shift));
+        return values_[i] + t * (values_[i + 1] - values_[i]);
+    }
+
+private:
+    static constexpr std::uint32_t shift = 18, low = (127u - 14u) << 23;  // from 2^-14 cd/m2, below the rods' threshold knee
+    static constexpr std::uint32_t entries = (21u << 5) + 1;              // to 2^7 = 128 cd/m2
+    std::array<float, entries> values_{};
+};
+
+}  // namespace pmc

@@ -1,0 +1,97 @@
+// Pictures of a film, row by row from the top left, in the renderer's radiance units unless said.
+#pragma once
+
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <vector>
+
+#include "film.hpp"
+#include "population.hpp"
+#include "smoother.hpp"
+
+namespace pmc {
+
+// Calls write(i, slot) for every pixel i.
+template <class Write>
+void for_each_pixel(const Film& film, ThreadPool& threads, Write&& write) {
+    const Tiling& t = film.tiling;
+    threads.ranges(t.height, 8, [&](std::size_t first, std::size_t last) {
+        for (std::size_t y = first; y < last; ++y)
+            for (std::uint32_t x = 0; x < t.width; ++x) write(y * t.width + x, std::size_t(t.slot(x, static_cast<std::uint32_t>(y))));
+    });
+}
+
+// Mean of all samples of a pixel (3 floats a pixel), 0 where there is none. Consistent; at finite counts biased low where rare
+// bright paths steer the sampler (Kirk and Arvo 1991, doi:10.1145/127719.122735).
+inline void plain_mean(const Film& film, float* out, ThreadPool& threads) {
+    for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
+        const PixelSums& p = film.sums[slot];
+        for (int c = 0; c < 3; ++c) out[3 * i + c] = p.n ? static_cast<float>(p.sum[c] / p.n) : 0.0f;
+    });
+}
+
+// The plain mean P with the energy that it lacks. The pool's mean U is unbiased, for no pool sample's being taken depends on
+// any value; D = U - P is noise and what steering cost. It is shared out among the neighbours by weights w that fall to 0 in
+// black pixels:  image = P + w B(D / B(w)),  B a symmetric smoother, so that the sum over the image is that of U.
+inline void corrected_mean(const Film& film, const Config& config, float* out, ThreadPool& threads) {
+    plain_mean(film, out, threads);
+    if (config.correction == 0.0 || config.is_uniform()) return;
+    const Tiling& t = film.tiling;
+    const std::size_t n = t.pixels();
+    const Smoother smooth(t.width, t.height, config.correction_sigma);
+    std::vector<float> weight(n), surroundings(n), ones(n, 1.0f);
+    for (std::size_t i = 0; i < n; ++i) surroundings[i] = weight[i] = luminance(out[3 * i], out[3 * i + 1], out[3 * i + 2]);
+    smooth(surroundings, threads);
+    smooth(ones, threads);
+    for (std::size_t i = 0; i < n; ++i) {
+        const float knee = static_cast<float>(config.correction_knee) * surroundings[i] / ones[i];
+        weight[i] = weight[i] > 0.0f ? weight[i] / (weight[i] + knee) : 0.0f;
+    }
+    std::vector<float> spread = weight, residual(n);
+    smooth(spread, threads);
+    for (int c = 0; c < 3; ++c) {
+        for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
+            const PixelSums& p = film.sums[slot];
+            residual[i] = p.n_pool && spread[i] > 1e-12f ? (p.pool_mean[c] - out[3 * i + c]) / spread[i] : 0.0f;
+        });
+        smooth(residual, threads);
+        const auto strength = static_cast<float>(config.correction);
+        for (std::size_t i = 0; i < n; ++i) out[3 * i + c] = std::max(0.0f, out[3 * i + c] + strength * weight[i] * residual[i]);
+    }
+}
+
+// Standard error of the plain mean (3 floats a pixel); infinity where fewer than two samples leave it unknown.
+inline void standard_error(const Film& film, float* out, ThreadPool& threads) {
+    for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
+        const PixelSums& p = film.sums[slot];
+        for (int c = 0; c < 3; ++c)
+            out[3 * i + c] = p.n > 1 ? static_cast<float>(std::sqrt(p.m2[c] / (double(p.n) * (p.n - 1)))) : std::numeric_limits<float>::infinity();
+    });
+}
+
+// Means of two disjoint halves of the samples (first, third, ... and second, fourth, ...), 0 where there is none.
+inline void halves(const Film& film, float* first, float* second, ThreadPool& threads) {
+    for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
+        const PixelSums& p = film.sums[slot];
+        const std::uint32_t n1 = p.n_half(), n2 = p.n - n1;
+        for (int c = 0; c < 3; ++c) {
+            first[3 * i + c] = p.half_mean[c];
+            second[3 * i + c] = n2 ? static_cast<float>(std::max(0.0, (p.sum[c] - n1 * double(p.half_mean[c])) / n2)) : 0.0f;
+        }
+    });
+}
+
+// As in the paper's strategy images: red, green and blue are how often the first, second and third radius were used at the
+// pixel, grey where no kernel was; the brightness is its sample count over the largest in the image.
+inline void strategy(const Film& film, float* out, ThreadPool& threads) {
+    std::uint32_t most = 1;
+    for (std::size_t s = 0; s < film.sums.size(); ++s) most = std::max(most, film.sums[s].n);
+    for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
+        const PixelSums& p = film.sums[slot];
+        const double used = double(p.strategy[0]) + p.strategy[1] + p.strategy[2], density = double(p.n) / most;
+        for (int k = 0; k < 3; ++k) out[3 * i + k] = static_cast<float>(density * (used > 0.0 ? p.strategy[k] / used : 1.0 / 3.0));
+    });
+}
+
+}  // namespace pmc

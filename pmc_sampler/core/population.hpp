@@ -1,0 +1,218 @@
+// The population (paper, sections 4.1 and 4.3): members that move by a mixture of disk kernels, are culled where little is
+// left to learn, and are regenerated elsewhere.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <numeric>
+#include <vector>
+
+#include "batch.hpp"
+#include "config.hpp"
+#include "memory.hpp"
+#include "parallel.hpp"
+#include "random.hpp"
+#include "tiling.hpp"
+
+namespace pmc {
+
+// Mean and squared deviations of a stream of luminances (Welford 1962, doi:10.1080/00401706.1962.10490022).
+struct Running {
+    float n, mean, m2;
+
+    void add(float x) {
+        n += 1.0f;
+        const float d = x - mean;
+        mean += d / n;
+        m2 += d * (x - mean);
+    }
+    float variance() const { return n > 1.0f ? m2 / (n - 1.0f) : 0.0f; }
+};
+
+using Alpha = std::array<float, Config::max_kernels>;
+
+struct Member {
+    float x, y;
+    Alpha alpha;
+    std::uint32_t rounds;  // N_used: resampling rounds since it was regenerated
+    Running all;
+    Running kernel[Config::max_kernels];
+};
+
+// Equation of section 4.3.3, normalised: alpha_k = floor / K + (1 - floor) (1/var_k) / sum(1/var), a kernel with no variance
+// having no share. A kernel with fewer than two samples keeps what it had; with no variance anywhere all are alike.
+inline Alpha adapted_alpha(const Member& member, std::uint32_t kernels, float floor) {
+    Alpha alpha{};
+    float known_before = 0.0f, total = 0.0f;
+    for (std::uint32_t k = 0; k < kernels; ++k) {
+        if (member.kernel[k].n < 2.0f) continue;
+        known_before += member.alpha[k];
+        const float variance = member.kernel[k].variance();
+        if (variance > 0.0f) total += 1.0f / variance;
+    }
+    if (!(total > 0.0f) || !std::isfinite(total)) {
+        std::fill_n(alpha.begin(), kernels, 1.0f / kernels);
+        return alpha;
+    }
+    for (std::uint32_t k = 0; k < kernels; ++k) {
+        if (member.kernel[k].n < 2.0f) {
+            alpha[k] = member.alpha[k];
+        } else {
+            const float variance = member.kernel[k].variance();
+            const float share = variance > 0.0f ? 1.0f / variance / total : 0.0f;
+            alpha[k] = share * known_before;
+        }
+    }
+    for (std::uint32_t k = 0; k < kernels; ++k) alpha[k] = floor / kernels + (1.0f - floor) * alpha[k];
+    return alpha;
+}
+
+// Alpha as an image, one entry for 8x8 pixels: what the members that were there had learned (paper, section 7).
+class AlphaMemory {
+public:
+    static constexpr std::uint32_t cell = 8;
+
+    AlphaMemory(const Tiling& tiling, std::uint32_t kernels, double rate)
+        : columns_((tiling.width + cell - 1) / cell), kernels_(kernels), rate_(static_cast<float>(rate)),
+          cells_(std::size_t(columns_) * ((tiling.height + cell - 1) / cell)) {}
+
+    Alpha at(std::uint32_t x, std::uint32_t y) const {
+        Alpha alpha = cells_[index(x, y)];
+        if (alpha[0] + alpha[1] + alpha[2] <= 0.0f) std::fill_n(alpha.begin(), kernels_, 1.0f / kernels_);
+        return alpha;
+    }
+    void learn(const Member& member) {
+        if (rate_ == 0.0f) return;
+        const auto x = static_cast<std::uint32_t>(member.x), y = static_cast<std::uint32_t>(member.y);
+        Alpha alpha = at(x, y);
+        for (std::uint32_t k = 0; k < kernels_; ++k) alpha[k] += rate_ * (member.alpha[k] - alpha[k]);
+        cells_[index(x, y)] = alpha;
+    }
+    template <class Archive>
+    void archive(Archive& a) {
+        a.array("alpha.memory", cells_);
+    }
+
+private:
+    std::size_t index(std::uint32_t x, std::uint32_t y) const { return std::size_t(y / cell) * columns_ + x / cell; }
+    std::uint32_t columns_, kernels_;
+    float rate_;
+    Zeroed<Alpha> cells_;
+};
+
+// A uniform point of the disk of radius r, by rejection from its square: cheaper than a sine and a cosine.
+inline Point2 in_disk(const Stream& stream, std::uint32_t counter, std::uint32_t slot, float r) {
+    for (std::uint32_t attempt = 0; attempt < 32; ++attempt) {
+        const float u = 2.0f * stream.uniform(counter, slot + 2 * attempt) - 1.0f;
+        const float v = 2.0f * stream.uniform(counter, slot + 2 * attempt + 1) - 1.0f;
+        if (u * u + v * v <= 1.0f) return {u * r, v * r};
+    }
+    return {0.0f, 0.0f};  // once in 10^21
+}
+
+struct Population {
+    std::vector<Member> members;
+    std::uint64_t iteration = 0;
+
+    // Members to replace: all but round((1 - eliminate) n) survivors, which are drawn without replacement in proportion to
+    // w = var / N_used (section 4.3.1) by the keys of Efraimidis and Spirakis 2006 (doi:10.1016/j.ipl.2005.11.003); members
+    // of weight 0 survive only where too few others are left.
+    std::vector<std::uint32_t> eliminated(double share, const Stream& stream) const {
+        const std::size_t n = members.size();
+        const auto survivors = static_cast<std::size_t>(std::llround((1.0 - share) * static_cast<double>(n)));
+        std::vector<std::uint32_t> order(n);
+        std::iota(order.begin(), order.end(), 0u);
+        if (survivors == 0 || survivors >= n) {
+            if (survivors >= n) order.clear();
+            return order;
+        }
+        std::vector<double> key(n);
+        for (std::size_t i = 0; i < n; ++i) {
+            const double weight = members[i].all.variance() / std::max(1u, members[i].rounds);
+            const double u = (stream.word(static_cast<std::uint32_t>(i)) + 0.5) * 0x1p-32;
+            // log(u) / w, larger is better; without weight, after all others and at random.
+            key[i] = weight > 0.0 ? std::log(u) / weight : -std::numeric_limits<double>::max() * (0.5 + 0.5 * u);
+        }
+        const auto better = [&](std::uint32_t a, std::uint32_t b) { return key[a] != key[b] ? key[a] > key[b] : a < b; };
+        std::nth_element(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(survivors), order.end(), better);
+        order.erase(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(survivors));
+        std::sort(order.begin(), order.end());
+        return order;
+    }
+
+    // Section 4.3.3 for every member that has seen enough, remembered in the image.
+    void adapt(const Config& config, AlphaMemory& memory) {
+        for (Member& member : members) adapt(member, config, memory);
+    }
+    static void adapt(Member& member, const Config& config, AlphaMemory& memory) {
+        const std::uint32_t kernels = config.kernels();
+        bool enough = false;
+        for (std::uint32_t k = 0; k < kernels; ++k) enough |= member.kernel[k].n >= 2.0f;
+        if (!enough) return;
+        member.alpha = adapted_alpha(member, kernels, static_cast<float>(config.alpha_floor));
+        memory.learn(member);
+    }
+
+    void place(std::uint32_t i, float x, float y, const AlphaMemory& memory) {
+        members[i] = Member{};
+        members[i].x = x;
+        members[i].y = y;
+        members[i].alpha = memory.at(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y));
+    }
+
+    // Section 4.1, Equation 4: T_R moves of each member, each from where the last one ended; slots[m * moves + t], tags alike.
+    void move(const Config& config, const Tiling& tiling, const Stream& stream, std::uint32_t* slots, std::uint8_t* tags, ThreadPool& threads) {
+        const std::uint32_t kernels = config.kernels(), moves = config.moves;
+        float radius[Config::max_kernels] = {};
+        for (std::uint32_t k = 0; k < kernels; ++k) radius[k] = static_cast<float>(config.radii[k]);
+        threads.ranges(members.size(), 1024, [&](std::size_t first, std::size_t last) {
+            for (std::size_t m = first; m < last; ++m) {
+                Member& member = members[m];
+                for (std::uint32_t t = 0; t < moves; ++t) {
+                    const auto counter = static_cast<std::uint32_t>(m);
+                    const std::uint32_t draw = t * 128;  // words a move may use
+                    const float u = stream.uniform(counter, draw);
+                    std::uint32_t k = 0;
+                    for (float c = member.alpha[0]; k + 1 < kernels && u >= c; c += member.alpha[++k]) {
+                    }
+                    const Point2 step = in_disk(stream, counter, draw + 1, radius[k]);
+                    member.x = reflect(member.x + step.x, static_cast<float>(tiling.width));
+                    member.y = reflect(member.y + step.y, static_cast<float>(tiling.height));
+                    slots[m * moves + t] = tiling.slot(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y));
+                    tags[m * moves + t] = static_cast<std::uint8_t>(k);
+                }
+            }
+        });
+    }
+
+    // What a batch's luminances say of the members that proposed it; NaN is left out.
+    void tell(const Batch& batch, const float* luminances, std::uint32_t moves, ThreadPool& threads) {
+        const std::size_t moved = members.size() * moves;
+        for (std::size_t i = 0; i < batch.evaluated.size(); ++i) {
+            const float y = luminances[batch.place[moved + i]];
+            if (y == y) members[batch.evaluated[i]].all.add(y);
+        }
+        threads.ranges(members.size(), 1024, [&](std::size_t first, std::size_t last) {
+            for (std::size_t m = first; m < last; ++m) {
+                Member& member = members[m];
+                for (std::size_t proposal = m * moves; proposal < (m + 1) * moves; ++proposal) {
+                    const std::uint32_t i = batch.place[proposal];
+                    if (luminances[i] != luminances[i]) continue;
+                    member.all.add(luminances[i]);
+                    member.kernel[batch.tag[i] & Tag::kernel_mask].add(luminances[i]);
+                }
+                ++member.rounds;
+            }
+        });
+    }
+
+    template <class Archive>
+    void archive(Archive& a, const std::string& name) {
+        a.vector(name + ".members", members);
+        a.value(name + ".iteration", iteration);
+    }
+};
+
+}  // namespace pmc

@@ -1,0 +1,243 @@
+// The sampler: ask for positions, tell their radiance, read the film. State changes here and nowhere else.
+#pragma once
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdint>
+#include <deque>
+#include <map>
+#include <memory>
+#include <optional>
+#include <span>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include "archive.hpp"
+#include "arrange.hpp"
+#include "batch.hpp"
+#include "config.hpp"
+#include "film.hpp"
+#include "parallel.hpp"
+#include "pool.hpp"
+#include "population.hpp"
+#include "systematic.hpp"
+
+namespace pmc {
+
+enum class Done : std::uint8_t { no, spp, seconds, visible_noise };
+
+class Sampler {
+public:
+    // aovs: channels after RGB that are averaged along. threads: 0 for one on each processor; the image does not depend on it.
+    Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& config = {}, std::uint64_t seed = 0,
+            std::uint32_t aovs = 0, unsigned threads = 0)
+        : config(checked(config, width, height)), budget(checked(budget)), seed(seed), threads_(threads), film_(width, height, config, aovs),
+          pool_(film_.tiling, key(seed)), memory_(film_.tiling, config.kernels(), config.alpha_memory),
+          arranger_(film_.tiling, key(seed), config.filter, config.filter_radius), populations_(std::size_t(config.lookahead) + 1),
+          id_(next_id().fetch_add(1)) {
+        const double pixels = static_cast<double>(film_.tiling.pixels());
+        total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
+        double initial = config.initial_spp;
+        if (initial == Config::automatic) initial = budget.spp == Budget::none ? 4.0 : std::clamp(std::round(budget.spp / 8.0), 4.0, 16.0);
+        if (config.is_uniform()) initial = budget.spp == Budget::none ? 0.0 : budget.spp;
+        initial_ = static_cast<std::uint64_t>(std::min(std::round(initial * pixels), static_cast<double>(total_)));
+    }
+    Sampler(const Sampler&) = delete;
+    Sampler& operator=(const Sampler&) = delete;
+
+    const Config config;
+    const Budget budget;
+    const std::uint64_t seed;
+
+    // The next batch. Up to config.lookahead others may be open; asking beyond that, or for more than the budget, throws.
+    std::shared_ptr<const Batch> ask() {
+        start_clock();
+        if (open_.size() > config.lookahead)
+            throw std::logic_error("ask: " + std::to_string(open_.size()) + " batches are open and lookahead is " +
+                                   std::to_string(config.lookahead) + ": tell or drop batch " + std::to_string(open_.begin()->first) + " first");
+        if (prepared_.empty()) prepare();
+        if (prepared_.empty())
+            throw std::logic_error(open_.empty() && waiting_.empty() ? "ask: the budget is spent; read the film, or make a sampler with a larger budget"
+                                                 : "ask: all samples of the budget are drawn and " + std::to_string(open_.size()) +
+                                                       " batches are open: tell or drop them");
+        auto batch = prepared_.front();
+        prepared_.pop_front();
+        open_[batch->number] = batch;
+        return batch;
+    }
+
+    // Radiance of a batch, 3 + aovs floats a sample in the batch's order. Throws, leaving everything as it was, where the batch is
+    // not open here, the size is wrong, or more than half of the samples are not finite or negative.
+    void tell(const Batch& batch, std::span<const float> radiance) {
+        const auto open = find_open(batch);
+        const std::size_t channels = 3 + film_.aovs, expected = batch.size() * channels;
+        if (radiance.size() != expected)
+            throw std::invalid_argument("tell: got " + std::to_string(radiance.size()) + " values for batch " + std::to_string(batch.number) + ", expected " +
+                                        std::to_string(batch.size()) + " samples of " + std::to_string(channels) + " channels");
+        check_mostly_valid(batch, radiance);
+        const auto kept = open->second;
+        open_.erase(open);
+        if (done_ == Done::visible_noise) return;  // what comes after must not depend on how many were open
+        if (kept->number == told_)
+            incorporate(*kept, radiance.data());
+        else
+            waiting_[kept->number] = {kept, std::vector<float>(radiance.begin(), radiance.end())};
+        catch_up();
+    }
+
+    // Gives a batch up: its samples are drawn again later, at other positions.
+    void drop(const Batch& batch) {
+        const auto open = find_open(batch);
+        const auto kept = open->second;
+        open_.erase(open);
+        if (done_ == Done::visible_noise) return;
+        if (kept->number == told_)
+            incorporate(*kept, nullptr);
+        else
+            waiting_[kept->number] = {kept, std::nullopt};
+        catch_up();
+    }
+
+    // Closes a batch without an answer, to be asked again next: the same samples, as if it had not been asked.
+    void put_back(const Batch& batch) {
+        const auto open = find_open(batch);
+        const auto after = std::find_if(prepared_.begin(), prepared_.end(), [&](const auto& b) { return b->number > batch.number; });
+        prepared_.insert(after, open->second);
+        open_.erase(open);
+    }
+
+    // Why sampling is over, once it is.
+    Done done() {
+        if (done_ == Done::no && film_.samples + rejected_ >= total_) done_ = Done::spp;
+        if (done_ == Done::no && elapsed() >= budget.seconds) done_ = Done::seconds;
+        return done_;
+    }
+
+    const Film& film() const { return film_; }
+    const AlphaMemory& alpha() const { return memory_; }
+    ThreadPool& threads() { return threads_; }
+    std::uint64_t samples() const { return film_.samples; }
+    std::uint64_t rejected() const { return rejected_; }
+    std::uint64_t total() const { return total_; }
+    static constexpr std::uint64_t unlimited = ~0ull;
+    // Seconds since the first ask, those before a restored checkpoint included.
+    double elapsed() const {
+        return elapsed_before_ + (started_ ? std::chrono::duration<double>(Clock::now() - *started_).count() : 0.0);
+    }
+
+    template <class Archive>
+    void archive(Archive& a);
+
+private:
+    using Clock = std::chrono::steady_clock;
+    struct Waiting {
+        std::shared_ptr<const Batch> batch;
+        std::optional<std::vector<float>> radiance;  // none: dropped
+    };
+
+    static const Config& checked(const Config& config, std::uint32_t width, std::uint32_t height) {
+        config.check(width, height);
+        return config;
+    }
+    static const Budget& checked(const Budget& budget) {
+        budget.check();
+        return budget;
+    }
+    static std::uint32_t key(std::uint64_t seed) { return mix(static_cast<std::uint32_t>(seed), static_cast<std::uint32_t>(seed >> 32)); }
+    static std::atomic<std::uint64_t>& next_id() {
+        static std::atomic<std::uint64_t> counter{1};
+        return counter;
+    }
+    void start_clock() {
+        if (!started_) started_ = Clock::now();
+    }
+
+    std::map<std::uint64_t, std::shared_ptr<const Batch>>::iterator find_open(const Batch& batch) {
+        if (batch.owner != id_) throw std::invalid_argument("batch " + std::to_string(batch.number) + " was drawn by another sampler");
+        const auto open = open_.find(batch.number);
+        if (open == open_.end() || open->second.get() != &batch)
+            throw std::invalid_argument("batch " + std::to_string(batch.number) + " is not open: it was told or dropped already");
+        return open;
+    }
+
+    void check_mostly_valid(const Batch& batch, std::span<const float> radiance) {
+        const std::size_t channels = 3 + film_.aovs;
+        std::atomic<std::size_t> invalid{0};
+        threads_.ranges(batch.size(), 16384, [&](std::size_t first, std::size_t last) {
+            std::size_t bad = 0;
+            for (std::size_t i = first; i < last; ++i) bad += !Film::valid(radiance.data() + i * channels, film_.aovs);
+            invalid += bad;
+        });
+        if (2 * invalid > batch.size())
+            throw std::invalid_argument("tell: " + std::to_string(invalid) + " of " + std::to_string(batch.size()) + " samples of batch " +
+                                        std::to_string(batch.number) +
+                                        " are NaN, infinite or negative; expected linear radiance: mend the renderer, or drop the batch");
+    }
+
+    // Everything that is in turn. Batch k is drawn from what batches up to k - 1 - lookahead told: before the next is taken in,
+    // the batches that must not know of it are drawn.
+    void incorporate(const Batch& batch, const float* radiance) {
+        while (drawn_batches_ < told_ + config.lookahead + 1 && prepare()) {
+        }
+        ++told_;
+        if (radiance) {
+            const bool members = batch.iteration_samples > 0;
+            if (members) luminances_.resize(batch.size());
+            rejected_ += film_.add(batch, radiance, members ? luminances_.data() : nullptr, threads_);
+            if (members) population_of(batch.number).tell(batch, luminances_.data(), config.moves, threads_);
+        } else {
+            issued_ -= batch.size();
+        }
+        if (!config.is_uniform() && config.adapt_beta_every > 1 && told_ % config.adapt_beta_every == 0) film_.adapt_beta(threads_);
+        if (done_ == Done::no && budget.visible_noise >= 0.0 && film_.samples + rejected_ >= initial_ && film_.visible_noise() <= budget.visible_noise)
+            done_ = Done::visible_noise;
+        done();
+    }
+
+    void catch_up() {
+        for (auto next = waiting_.find(told_); next != waiting_.end() && done_ != Done::visible_noise; next = waiting_.find(told_)) {
+            const Waiting ready = std::move(next->second);
+            waiting_.erase(next);
+            incorporate(*ready.batch, ready.radiance ? ready.radiance->data() : nullptr);
+        }
+    }
+
+    Population& population_of(std::uint64_t batch) { return populations_[batch % populations_.size()]; }
+
+    bool prepare();
+    std::uint64_t batch_size() const;
+    void draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta);
+    void regenerate(Batch& batch, std::uint64_t room, const SystematicDraw& beta);
+    void fill(Batch& batch, std::uint64_t size, std::uint64_t direct, const SystematicDraw* beta);
+    void from_pool(std::size_t count);
+
+    ThreadPool threads_;
+    Film film_;
+    Pool pool_;
+    AlphaMemory memory_;
+    Arranger arranger_;
+    std::vector<Population> populations_;  // batch k moves the (k mod (lookahead + 1))-th: the last batch of that one is told
+
+    std::uint64_t id_, total_ = 0, initial_ = 0;
+    std::uint64_t issued_ = 0;  // samples drawn, less those of dropped batches
+    std::uint64_t drawn_batches_ = 0, told_ = 0, rejected_ = 0;
+    std::deque<std::shared_ptr<const Batch>> prepared_;
+    std::map<std::uint64_t, std::shared_ptr<const Batch>> open_;
+    std::map<std::uint64_t, Waiting> waiting_;  // told out of order
+    Done done_ = Done::no;
+    std::optional<Clock::time_point> started_;
+    double elapsed_before_ = 0.0;
+
+    // Scratch of one draw and one tell.
+    Proposals proposals_;
+    std::vector<std::uint32_t> pool_slots_, pool_passes_;
+    Buffer<std::uint32_t> drawn_slots_;
+    Buffer<float> luminances_;
+};
+
+}  // namespace pmc
+
+#include "draw.hpp"
+#include "checkpoint.hpp"

@@ -1,0 +1,287 @@
+"""The sampler: ask for pixel positions, tell their radiance, read the film."""
+
+from __future__ import annotations
+
+import inspect
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from pmc_sampler import _core, checkpoint
+from pmc_sampler.config import Budget, Config
+from pmc_sampler.film import Film
+
+_DONE = (None, "spp", "seconds", "visible_noise")
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Positions for a renderer, ordered so that neighbours in the image are neighbours in the batch. Arrays are read-only.
+
+    positions: (n, 2) float32, pixels, x right, y down, origin the image's top-left corner.
+    pixel: (n,) uint32, y * width + x of the pixel that the sample counts for.
+    index: (n,) uint32, the sample's place in its pixel's low-discrepancy sequence.
+    scramble: (n,) uint32, that sequence's scramble, a hash of seed, pixel and stream (pool or adaptive). The position took
+        dimensions 0 and 1 of Owen-scrambled Sobol points; a renderer goes on from dimension 2.
+    number: the batch's number, from 0.
+    """
+
+    positions: npt.NDArray[np.float32]
+    pixel: npt.NDArray[np.uint32]
+    index: npt.NDArray[np.uint32]
+    scramble: npt.NDArray[np.uint32]
+    number: int
+    _native: _core.Batch = field(repr=False)
+
+    def __len__(self) -> int:
+        return len(self.pixel)
+
+
+Radiance = Callable[[Any], npt.ArrayLike]
+Progress = Callable[["Sampler"], None]
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a render gave and what it cost.
+
+    seconds: wall-clock seconds, "total", "renderer" (in the callback) and "sampler" (ask and tell).
+    done: the limit of the budget that ended it; None where it was interrupted.
+    """
+
+    film: Film
+    samples: int
+    spp: float
+    rejected: int
+    visible_noise: float
+    seconds: dict[str, float]
+    done: str | None
+
+
+class Sampler:
+    """Population Monte Carlo sampling of the image plane (Lai and Dyer 2007), by ask and tell.
+
+    width, height: pixels, 1 to 65535 each. seed: 0 to 2^64 - 1. aovs: channels after RGB that are averaged along.
+    threads: of the sampler's own work; None for one on each processor. The image depends on none of threads, timing or the order in
+    which batches come back, but on (radiance, config, seed, budget in samples) alone.
+
+    Raises ValueError or TypeError with a sentence that says what came and what was expected.
+    """
+
+    def __init__(
+        self,
+        width: int,
+        height: int,
+        budget: Budget,
+        config: Config | None = None,
+        seed: int = 0,
+        aovs: int = 0,
+        threads: int | None = None,
+    ) -> None:
+        if not isinstance(budget, Budget):
+            raise TypeError(f"budget is {budget!r}: expected a Budget, such as Budget(spp=64)")
+        config = Config() if config is None else config
+        if not isinstance(config, Config):
+            raise TypeError(f"config is {config!r}: expected a Config")
+        self.width = _whole("width", width, 0, 2**32 - 1)
+        self.height = _whole("height", height, 0, 2**32 - 1)
+        self.budget = budget
+        self.config = config
+        self.seed = _whole("seed", seed, 0, 2**64 - 1)
+        self.aovs = _whole("aovs", aovs, 0, 64)
+        try:
+            self._native = _core.Sampler(
+                self.width,
+                self.height,
+                budget._native(),
+                config._native(),
+                self.seed,
+                self.aovs,
+                0 if threads is None else _whole("threads", threads, 1, 1024),
+            )
+        except MemoryError:
+            need = self.width * self.height * _core.film_bytes_per_pixel / 2**30
+            raise MemoryError(
+                f"an image of {self.width}x{self.height} needs {need:.1f} GiB of film, more than there is: choose a smaller image"
+            ) from None
+        self.film = Film(self._native)
+
+    def ask(self) -> Batch:
+        """The next batch of positions.
+
+        Raises RuntimeError where more than `config.lookahead` batches are open besides, or the budget is spent.
+        """
+        native = self._native.ask()
+        return Batch(*_core.batch_arrays(native), number=native.number, _native=native)
+
+    def tell(self, batch: Batch, radiance: npt.ArrayLike) -> None:
+        """The radiance of a batch: (n, 3 + aovs) floats, linear RGB first, in the batch's order.
+
+        Samples that are not finite or negative do not enter the film; they are counted in `rejected`. Raises ValueError or
+        TypeError, and leaves the sampler as it was, for a wrong shape or type, a batch told or dropped before or drawn by
+        another sampler, and where more than half of the samples are invalid.
+        """
+        native = _native_batch(batch)
+        array = np.asarray(radiance)
+        expected = (len(batch), 3 + self.aovs)
+        if array.shape != expected:
+            raise ValueError(f"tell: got radiance of shape {array.shape} for batch {batch.number}, expected {expected}")
+        if array.dtype.kind != "f":
+            raise TypeError(f"tell: got radiance of type {array.dtype} for batch {batch.number}, expected float32")
+        with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite and is counted as such
+            self._native.tell(native, np.ascontiguousarray(array, dtype=np.float32))
+
+    def drop(self, batch: Batch) -> None:
+        """Gives an open batch up, a lost one for instance; its samples are drawn again later, at other positions."""
+        self._native.drop(_native_batch(batch))
+
+    def put_back(self, batch: Batch) -> None:
+        """Closes an open batch without an answer; the next `ask` gives the same samples again."""
+        self._native.put_back(_native_batch(batch))
+
+    @property
+    def done(self) -> str | None:
+        """The limit that ended sampling: "spp", "seconds" or "visible_noise"; None while there is work to do."""
+        return _DONE[self._native.done()]
+
+    @property
+    def samples(self) -> int:
+        """Samples on the film."""
+        return self._native.samples
+
+    @property
+    def spp(self) -> float:
+        """Samples on the film over pixels."""
+        return self._native.samples / (self.width * self.height)
+
+    @property
+    def rejected(self) -> int:
+        """Samples left out because their radiance was not finite or negative."""
+        return self._native.rejected
+
+    @property
+    def visible_noise(self) -> float:
+        """Share of the pixels whose standard error of luminance exceeds tvi, or that have fewer than two samples."""
+        return self._native.visible_noise()
+
+    @property
+    def elapsed(self) -> float:
+        """Seconds since the first ask, those before a checkpoint that was loaded included."""
+        return self._native.elapsed
+
+    @property
+    def fraction(self) -> float:
+        """How much of the budget is used, in [0, 1]; of the limits of samples and seconds, the nearer one."""
+        used = [1.0] if self.done else [0.0]
+        if self._native.total is not None:
+            used.append((self.samples + self.rejected) / self._native.total)
+        if self.budget.seconds is not None:
+            used.append(self.elapsed / self.budget.seconds)
+        return min(1.0, max(used))
+
+    def run(self, radiance: Radiance, progress: Progress | None = None) -> Result:
+        """Asks and tells until the budget is met; `progress(sampler)` is called after each batch.
+
+        radiance: called with a Batch where it has an attribute `takes_batch` that is true, or its first parameter is named
+        `batch` or annotated `Batch`; else with positions, (n, 2) float32. Where it raises, the batch is put back, so that what
+        was told is kept and `run` can be called again.
+        """
+        wants_batch = _takes_batch(radiance)
+        start = time.perf_counter()
+        in_renderer = in_sampler = 0.0
+        while not self.done:
+            t0 = time.perf_counter()
+            batch = self.ask()
+            t1 = time.perf_counter()
+            try:
+                values = radiance(batch if wants_batch else batch.positions)
+                t2 = time.perf_counter()
+                self.tell(batch, values)
+            except BaseException:
+                self.put_back(batch)
+                raise
+            t3 = time.perf_counter()
+            in_renderer += t2 - t1
+            in_sampler += t1 - t0 + t3 - t2
+            if progress is not None:
+                progress(self)
+        seconds = {"total": time.perf_counter() - start, "renderer": in_renderer, "sampler": in_sampler}
+        return Result(self.film, self.samples, self.spp, self.rejected, self.visible_noise, seconds, self.done)
+
+    def save(self, path: str | Path) -> None:
+        """Writes everything that the batches to come depend on to one file, beside and then renamed."""
+        header = {
+            "width": self.width,
+            "height": self.height,
+            "budget": {k: getattr(self.budget, k) for k in ("spp", "seconds", "visible_noise")},
+            "config": self.config.to_dict(),
+            "seed": self.seed,
+            "aovs": self.aovs,
+        }
+        checkpoint.write(Path(path), header, self._native.save())
+
+    @classmethod
+    def load(cls, path: str | Path, threads: int | None = None) -> Sampler:
+        """The sampler that `save` wrote: it goes on to the same bits. Batches that were open are asked again.
+
+        Raises FileNotFoundError, or ValueError for a file that is damaged, of another version or no checkpoint.
+        """
+        header, blocks = checkpoint.read(Path(path))
+        try:
+            sampler = cls(
+                header["width"],
+                header["height"],
+                Budget(**header["budget"]),
+                Config.from_dict(header["config"]),
+                seed=header["seed"],
+                aovs=header["aovs"],
+                threads=threads,
+            )
+            sampler._native.restore(blocks)
+        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            raise ValueError(f"cannot resume from {str(path)!r}: {error}") from error
+        return sampler
+
+
+def render(
+    radiance: Radiance,
+    width: int,
+    height: int,
+    budget: Budget,
+    config: Config | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Result:
+    """Renders an image: a thin loop over `Sampler.ask` and `tell` that gives the same bits. Arguments as theirs."""
+    return Sampler(width, height, budget, config, seed).run(radiance, progress)
+
+
+def _takes_batch(radiance: Radiance) -> bool:
+    if not callable(radiance):
+        raise TypeError(f"radiance is {radiance!r}: expected a function of positions or of a Batch")
+    if hasattr(radiance, "takes_batch"):
+        return bool(radiance.takes_batch)
+    try:
+        parameters = list(inspect.signature(radiance).parameters.values())
+    except (TypeError, ValueError):  # builtins without a signature
+        return False
+    return bool(parameters) and (parameters[0].name == "batch" or parameters[0].annotation in (Batch, "Batch"))
+
+
+def _native_batch(batch: Batch) -> _core.Batch:
+    if not isinstance(batch, Batch):
+        raise TypeError(f"got {type(batch).__name__}: expected the Batch that ask returned")
+    return batch._native
+
+
+def _whole(name: str, value: Any, low: int, high: int) -> int:
+    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
+        raise TypeError(f"{name} is {value!r}: expected a whole number")
+    if not low <= value <= high:
+        raise ValueError(f"{name} is {value}: expected {low} to {high}")
+    return int(value)
