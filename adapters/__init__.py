@@ -1,0 +1,93 @@
+"""Renderers behind the sampler, found by name.
+
+A renderer is a class in the entry-point group `pmc_sampler.renderers`, made from a scene and options. Its
+instances have `width` and `height`, and are called with a `Batch` for the radiance of its samples, shape (n,
+3 + aovs), float32, linear RGB. A class method `probe()`, if it has one, returns a line about what it runs on,
+or raises RuntimeError with what is missing. Those of the project are found without an entry point, too.
+"""
+
+from __future__ import annotations
+
+import difflib
+import importlib
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib import metadata
+from typing import Any
+
+__all__ = ["Availability", "available", "load", "names"]
+
+GROUP = "pmc_sampler.renderers"
+_OWN = {"mitsuba": "mitsuba:MitsubaRenderer"}  # module within this package, class
+
+
+@dataclass(frozen=True)
+class Availability:
+    """A renderer by name: what it runs on, or why it cannot run and what to install."""
+
+    name: str
+    detail: str | None
+    trouble: str | None = None
+
+    @property
+    def runs(self) -> bool:
+        """Whether it can render on this machine."""
+        return self.trouble is None
+
+
+def names() -> list[str]:
+    """The names of all renderers, sorted, whether or not they can run here."""
+    return sorted({*_OWN, *(point.name for point in metadata.entry_points(group=GROUP))})
+
+
+def load(renderer: str, scene: Any, **options: Any) -> Any:
+    """A renderer of `scene`: a callable from a `Batch` to radiance, with `width` and `height`.
+
+    `scene` is a built-in scene's name, a file or what else that renderer takes; `options` go to its
+    constructor. Raises ValueError for an unknown renderer, RuntimeError for one that cannot run here (with
+    what to install), TypeError for an option it does not have, and what the renderer raises for the scene.
+    """
+    kind = _found(renderer)
+    _check_options(renderer, kind, options)
+    return kind(scene, **options)
+
+
+def available() -> list[Availability]:
+    """All renderers, by name, each with what it runs on or why it does not."""
+    result = []
+    for name in names():
+        try:
+            kind = _found(name)
+            detail = kind.probe() if hasattr(kind, "probe") else getattr(kind, "__module__", name)
+            result.append(Availability(name, str(detail)))
+        except Exception as error:  # a listing has to outlive whatever a third party's renderer does
+            result.append(Availability(name, None, " ".join(str(error).split()) or type(error).__name__))
+    return result
+
+
+def _found(name: str) -> Callable[..., Any]:
+    """The class or function that makes the renderer called `name`."""
+    if name not in names():
+        near = difflib.get_close_matches(str(name), names(), n=1)
+        hint = f"; did you mean {near[0]!r}?" if near else ""
+        raise ValueError(f"no renderer is called {name!r}; there are {', '.join(names())}{hint}")
+    try:
+        for point in metadata.entry_points(group=GROUP, name=name):
+            loaded: Callable[..., Any] = point.load()
+            return loaded
+        module, _, attribute = _OWN[name].partition(":")
+        own: Callable[..., Any] = getattr(importlib.import_module(f".{module}", __name__), attribute)
+        return own
+    except (ImportError, AttributeError) as error:
+        raise RuntimeError(f"the renderer {name!r} cannot run here: {error}") from error
+
+
+def _check_options(name: str, kind: Callable[..., Any], options: dict[str, Any]) -> None:
+    parameters = inspect.signature(kind).parameters
+    if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
+        return
+    known = [option for option in parameters if option != "scene"]
+    for option in options:
+        if option not in known:
+            raise TypeError(f"the renderer {name!r} has no option {option!r}; it has {', '.join(known)}")

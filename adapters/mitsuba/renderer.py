@@ -1,0 +1,160 @@
+"""`MitsubaRenderer`: any Mitsuba scene as a callable from a batch of samples to radiance."""
+
+from __future__ import annotations
+
+import threading
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import loading, variants
+from .rays import Evaluator
+from .samplers import KINDS
+
+__all__ = ["MitsubaRenderer"]
+
+_ALIGNMENT = 64  # bytes; Dr.Jit compiles one kernel for aligned arrays and another for the rest
+
+
+class MitsubaRenderer:
+    """Renders a scene's samples with Mitsuba 3.
+
+    Called with a `Batch` it returns the radiance of each of its samples, shape (n, 3 + aovs), float32: linear
+    RGB in the scene's units, then the integrator's extra channels, named in `aov_names`. A sample's value is
+    a function of its position, `scramble` and `index`, bit for bit, whatever else is in its batch.
+
+    Positions are pixels from the top-left corner of the film's crop window, whose size is `width` by
+    `height`. The film's reconstruction filter and alpha play no part: placing samples and averaging them is
+    the sampler's business.
+
+    Parameters
+    ----------
+    scene
+        A `mi.Scene`, a scene dictionary, an `.xml` file or the name of a built-in scene.
+    sensor
+        Which of the scene's sensors, or a `mi.Sensor`.
+    integrator
+        A `mi.Integrator`, a plugin's name or its dictionary, in place of the scene's own: any that returns
+        radiance for a ray, such as `path`, `volpath`, `direct`, `prb` or `aov`.
+    sampler
+        "sobol" for Owen-scrambled Sobol points within each pixel, "independent" for independent random
+        numbers.
+    variant
+        The Mitsuba variant to load the scene in, an unpolarised `llvm` or `cuda` one. By default the active
+        one where that will do, else RGB on a CUDA device if there is one and on the CPU if not. A `mi.Scene`
+        brings its own.
+    size
+        (width, height) of the film in pixels, in place of the scene's.
+
+    Raises
+    ------
+    FileNotFoundError, OSError
+        For a scene file that is missing or cannot be read.
+    ValueError
+        For an unknown scene, sensor, integrator, sampler or variant, and for one that cannot serve, with the
+        reason.
+    RuntimeError
+        If the variant's back end does not run on this machine, with what to install.
+    """
+
+    takes_batch = True
+
+    def __init__(
+        self,
+        scene: Any,
+        sensor: Any = 0,
+        integrator: Any = None,
+        sampler: str = "sobol",
+        *,
+        variant: str | None = None,
+        size: tuple[int, int] | None = None,
+    ) -> None:
+        if sampler not in KINDS:
+            raise ValueError(f"a sampler is {' or '.join(repr(kind) for kind in KINDS)}, not {sampler!r}")
+        given = loading.is_scene(scene)
+        if given and variant not in (None, scene.variant_name()):
+            raise ValueError(
+                f"the scene was loaded in the variant {scene.variant_name()!r} and stays there; "
+                f"it cannot be rendered in {variant!r}"
+            )
+        self.variant = variants.check(scene.variant_name()) if given else variants.choose(variant)
+        with variants.active(self.variant):
+            self.scene = loading.load_scene(scene)
+            self.sensor = loading.sensor_of(self.scene, sensor)
+            self.integrator = loading.integrator_of(self.scene, integrator)
+            if size is not None:
+                loading.resize(self.sensor, size, ours=not given and isinstance(sensor, int))
+            self._evaluate = Evaluator(self.variant, sampler, self.scene, self.sensor, self.integrator)
+        self.sampler = sampler
+        self.aov_names: list[str] = list(self.integrator.aov_names())
+        self.width, self.height = (int(side) for side in self.sensor.film().crop_size())
+        self._types = variants.module(self.variant)
+        self._buffers: dict[str, NDArray[Any]] = {}
+        self._lock = threading.Lock()
+
+    @classmethod
+    def probe(cls) -> str:
+        """A line on the version and the variants that run here; raises RuntimeError if none does."""
+        return variants.probe()
+
+    @property
+    def aovs(self) -> int:
+        """How many channels come after RGB."""
+        return len(self.aov_names)
+
+    def __repr__(self) -> str:
+        return (
+            f"MitsubaRenderer({self.width}x{self.height}, {self.sensor.class_name()}, "
+            f"{self.integrator.class_name()}, {self.sampler}, {self.variant})"
+        )
+
+    def __call__(self, batch: Any) -> NDArray[np.float32]:
+        """The radiance of each sample of `batch`, shape (n, 3 + aovs), float32.
+
+        Raises TypeError for what is no batch.
+        """
+        try:
+            positions, scramble, index = batch.positions, batch.scramble, batch.index
+        except AttributeError:
+            raise TypeError(
+                "a MitsubaRenderer is called with a Batch (positions, scramble and index of each sample), "
+                f"not with {type(batch).__name__}"
+            ) from None
+        out = np.empty((len(positions), 3 + self.aovs), np.float32)
+        if len(out) == 0:
+            return out
+        # One call at a time: the arrays below are Dr.Jit's until the result has been read. The variant has to
+        # be the active one only while a function is recorded, but nobody can tell beforehand when that is.
+        with self._lock, variants.active(self.variant):
+            columns = (
+                self._types.Float(self._aligned("x", positions[:, 0], np.float32)),
+                self._types.Float(self._aligned("y", positions[:, 1], np.float32)),
+                self._types.UInt32(self._aligned("scramble", scramble, np.uint32)),
+                self._types.UInt32(self._aligned("index", index, np.uint32)),
+            )
+            channels = self._evaluate(*columns)
+            for k, channel in enumerate(channels):
+                out[:, k] = channel.numpy()[: len(out)]
+        return out
+
+    def _aligned(self, name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:
+        """`values` as a contiguous aligned array: itself if it is one, else a copy in a buffer that is kept
+        for the next batch.
+
+        A single sample is doubled: Dr.Jit treats arrays of length one as scalars and would record a function
+        of its own.
+        """
+        size = max(len(values), 2)
+        ready = values.dtype == dtype and values.flags.c_contiguous and values.ctypes.data % _ALIGNMENT == 0
+        if ready and len(values) == size:
+            return values
+        buffer = self._buffers.get(name)
+        if buffer is None or len(buffer) < size:
+            memory = np.empty(size * np.dtype(dtype).itemsize + _ALIGNMENT, np.uint8)
+            offset = -memory.ctypes.data % _ALIGNMENT
+            buffer = self._buffers[name] = memory[offset : offset + size * np.dtype(dtype).itemsize].view(
+                dtype
+            )
+        buffer[:size] = values
+        return buffer[:size]
