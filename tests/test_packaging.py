@@ -48,3 +48,4 @@ def test_entry_points_are_found() -> None:
 def test_versions_agree(checkout: Path) -> None:
     citation = (checkout / "CITATION.cff").read_text(encoding="utf-8")
     assert f"version: {DISTRIBUTION.version}\n" in citation
+    assert pmc_sampler.__version__ == DISTRIBUTION.version
