@@ -1,0 +1,254 @@
+"""References: long uniform renders with the variance of their own mean, cached in files and resumable.
+
+A reference is the mean of independent replicates, each a uniform render with Sobol points and a seed of its
+own. The variance of the mean is taken from the spread between replicates: Sobol points are not independent
+within one, so the variance of single samples would overstate the reference's noise and too much would be
+subtracted.
+"""
+
+import hashlib
+import importlib.metadata
+import json
+import os
+import re
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmc_sampler import Budget, Config, Sampler, luminance, scenes
+
+SEED = 0x5EED_0000
+"""Seed of the first replicate; measured runs use small seeds, so none shares a reference's samples."""
+
+
+class BadReferenceError(ValueError):
+    """A reference that cannot be made or read; the message says which file and what to do."""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """A reference image and how far it may be trusted.
+
+    ``mean`` (height, width, 3) float32 linear RGB; ``variance`` (height, width, 3) float32 of that mean;
+    ``luminance_variance`` (height, width) float32 of its luminance; ``spp`` samples per pixel over all
+    ``replicates``; ``rejected`` samples that were not finite or negative; ``seconds`` it took; ``key``
+    names what it is a reference of.
+    """
+
+    mean: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    luminance_variance: NDArray[np.float32]
+    spp: int
+    replicates: int
+    rejected: int
+    seconds: float
+    key: str
+
+    @property
+    def mean_luminance(self) -> float:
+        """Mean luminance of the image."""
+        return float(luminance(self.mean.astype(np.float64)).mean())
+
+    @property
+    def bias_error(self) -> float:
+        """Standard error of the mean luminance, relative to it: a measured bias is uncertain by as much."""
+        n = self.luminance_variance.size
+        return float(np.sqrt(self.luminance_variance.sum(dtype=np.float64))) / n / self.mean_luminance
+
+
+def key(settings: Mapping[str, Any]) -> str:
+    """A short name for all that a reference depends on: scene, renderer, versions, size, samples."""
+    text = json.dumps(settings, sort_keys=True, default=str)
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
+
+
+def identify(scene: str, renderer: str) -> dict[str, str]:
+    """What a scene's image depends on besides size and samples, for :func:`key`.
+
+    ``scene`` is a built-in scene's name or a file; its contents count, and those of the files that it names.
+    ``renderer`` is a renderer's name; the version of the Python package of that name counts, if there is one.
+    """
+    file = scenes.path(scene) if scene in scenes.names() else Path(scene)
+    contents = file.read_bytes()
+    digest = hashlib.sha256(contents)
+    for name in re.findall(rb'name="filename"\s+value="([^"]+)"', contents):
+        part = file.parent / os.fsdecode(name)
+        if part.is_file():
+            digest.update(part.read_bytes())
+    try:
+        version = importlib.metadata.version(renderer)
+    except importlib.metadata.PackageNotFoundError:
+        version = ""
+    return {
+        "scene": scene,
+        "contents": digest.hexdigest()[:16],
+        "renderer": renderer,
+        "renderer_version": version,
+    }
+
+
+def cache_folder() -> Path:
+    """The user's cache folder for references, ``$XDG_CACHE_HOME/pmc_sampler`` or ``~/.cache/pmc_sampler``."""
+    base = os.environ.get("XDG_CACHE_HOME")
+    return (Path(base) if base else Path.home() / ".cache") / "pmc_sampler" / "references"
+
+
+def obtain(
+    radiance: Callable[..., Any],
+    width: int,
+    height: int,
+    spp: int,
+    settings: Mapping[str, Any],
+    *,
+    cache: str | os.PathLike[str] | None = None,
+    replicates: int = 16,
+    save_seconds: float = 60.0,
+    progress: Callable[[float], None] | None = None,
+) -> Reference:
+    """The reference from the cache, or rendered into it, resuming what an interruption left.
+
+    Parameters: ``radiance`` a renderer (see :class:`pmc_sampler.Sampler`) whose samples are low-discrepancy
+    or independent; ``spp`` a multiple of ``replicates``; ``settings`` names everything besides size and
+    samples that the image depends on (scene, renderer, versions) and, with those, makes the key; ``cache``
+    a folder, made when missing; state is saved after each replicate and every ``save_seconds`` within one;
+    ``progress`` is called with the finished share. Raises :class:`BadReferenceError`.
+    """
+    if replicates < 2 or spp < replicates or spp % replicates:
+        raise BadReferenceError(
+            f"a reference needs at least 2 replicates and samples per pixel in a multiple of them; "
+            f"{spp} spp in {replicates} came."
+        )
+    full = {**settings, "width": width, "height": height, "spp": spp, "replicates": replicates, "seed": SEED}
+    name = key(full)
+    folder = Path(cache) if cache is not None else cache_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{name}.npz"
+    if path.is_file():
+        return load(path)
+    state = _Replicates.resume(folder / f"{name}.part.npz", height, width)
+    inner = folder / f"{name}.sampler"
+    while state.count < replicates:
+        began = time.perf_counter()
+        sampler = _sampler(inner, width, height, spp // replicates, SEED + state.count)
+        saved = time.perf_counter()
+        while not sampler.done:
+            batch = sampler.ask()
+            sampler.tell(batch, radiance(batch))
+            if progress is not None:
+                progress((state.count + min(sampler.spp * replicates / spp, 1.0)) / replicates)
+            if time.perf_counter() - saved > save_seconds:
+                sampler.save(inner)
+                saved = time.perf_counter()
+        state.add(sampler.film.plain_mean, sampler.rejected, time.perf_counter() - began)
+        state.save(folder / f"{name}.part.npz")
+        inner.unlink(missing_ok=True)
+    reference = state.reference(spp, name)
+    _save(path, {field.name: getattr(reference, field.name) for field in fields(reference)}, settings=full)
+    (folder / f"{name}.part.npz").unlink(missing_ok=True)
+    return reference
+
+
+def load(path: str | os.PathLike[str]) -> Reference:
+    """Read a reference file; raises :class:`BadReferenceError` for a missing, foreign or damaged one."""
+    data = _read(Path(path))
+    try:
+        return Reference(
+            mean=data["mean"],
+            variance=data["variance"],
+            luminance_variance=data["luminance_variance"],
+            spp=int(data["spp"]),
+            replicates=int(data["replicates"]),
+            rejected=int(data["rejected"]),
+            seconds=float(data["seconds"]),
+            key=str(data["key"]),
+        )
+    except KeyError as error:
+        raise BadReferenceError(f"{str(path)!r} is no reference: {error.args[0]} is missing.") from error
+
+
+@dataclass
+class _Replicates:
+    """Running mean and sum of squared deviations over replicates (Welford 1962), of R, G, B and luminance."""
+
+    count: int
+    mean: NDArray[np.float64]
+    squares: NDArray[np.float64]
+    rejected: int
+    seconds: float
+
+    @classmethod
+    def resume(cls, path: Path, height: int, width: int) -> "_Replicates":
+        if not path.is_file():
+            return cls(0, np.zeros((height, width, 4)), np.zeros((height, width, 4)), 0, 0.0)
+        data = _read(path)
+        return cls(
+            int(data["count"]), data["mean"], data["squares"], int(data["rejected"]), float(data["seconds"])
+        )
+
+    def add(self, image: NDArray[np.float32], rejected: int, seconds: float) -> None:
+        rgb = image.astype(np.float64)
+        values = np.concatenate([rgb, np.asarray(luminance(rgb), dtype=np.float64)[..., None]], axis=2)
+        self.count += 1
+        before = values - self.mean
+        self.mean = self.mean + before / self.count
+        self.squares = self.squares + before * (values - self.mean)
+        self.rejected += rejected
+        self.seconds += seconds
+
+    def save(self, path: Path) -> None:
+        _save(path, {field.name: getattr(self, field.name) for field in fields(self)})
+
+    def reference(self, spp: int, name: str) -> Reference:
+        variance = (self.squares / (self.count - 1) / self.count).astype(np.float32)
+        return Reference(
+            self.mean[..., :3].astype(np.float32),
+            variance[..., :3],
+            variance[..., 3],
+            spp,
+            self.count,
+            self.rejected,
+            self.seconds,
+            name,
+        )
+
+
+def _sampler(inner: Path, width: int, height: int, spp: int, seed: int) -> Sampler:
+    if inner.is_file():
+        sampler = Sampler.load(inner)
+        if sampler.seed == seed:
+            return sampler
+    return Sampler(width, height, Budget(spp=spp), Config.uniform(), seed=seed)
+
+
+def _save(path: Path, arrays: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> None:
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    contents = dict(arrays)
+    if settings is not None:
+        contents["settings"] = json.dumps(settings, sort_keys=True, default=str)
+    try:
+        with partial.open("wb") as stream:
+            np.savez(stream, **contents)
+        os.replace(partial, path)
+    except OSError as error:
+        raise BadReferenceError(
+            f"the reference {str(path)!r} cannot be written: {error.strerror}."
+        ) from error
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
+            return {name: data[name] for name in data.files}
+    except FileNotFoundError as error:
+        raise BadReferenceError(f"there is no reference {str(path)!r}.") from error
+    except Exception as error:  # zip, header and decompression errors are of a dozen types
+        raise BadReferenceError(
+            f"{str(path)!r} is damaged ({error}); delete it to render it anew."
+        ) from error

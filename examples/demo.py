@@ -1,0 +1,189 @@
+"""Renders the Cornell box by path tracing and by PMC at equal sample counts and shows what the difference is.
+
+`make demo` runs it. Both get the same renderer with its best random numbers (Owen-scrambled Sobol points)
+and the same number of samples; PMC only chooses where they go. Into the output folder go both images (EXR
+with layers, PNG), the reference they are measured against, the crop of the caustic, the strategy image and
+one picture with everything.
+"""
+
+import argparse
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from pmc_sampler.eval import images, metrics, references
+from pmc_sampler.eval.display import display
+
+from pmc_sampler import Budget, Config, Result, adapters, render
+from pmc_sampler.cli.arguments import size
+
+SCENE = "cornell-box"
+METHODS = {"pt": ("path tracing", Config.uniform()), "pmc": ("PMC", Config())}
+# The caustic under the glass ball: left, top, right, bottom as shares of the image.
+CAUSTIC = (0.46, 0.64, 0.80, 0.98)
+
+
+def main(words: list[str] | None = None) -> int:
+    options = arguments(words)
+    width, height = options.size
+    options.output.mkdir(parents=True, exist_ok=True)
+    images.check_writable(options.output / "pt.exr")
+    began = time.perf_counter()
+    say(f"loading {SCENE} for {options.renderer}")
+    radiance = adapters.load(options.renderer, SCENE, size=(width, height))
+    # The renderer compiles on first use; that is nobody's render time.
+    render(radiance, width, height, Budget(spp=1), Config.uniform())
+
+    results = {}
+    for name, (title, config) in METHODS.items():
+        say(f"rendering by {title}: {options.spp} samples per pixel at {width}x{height}")
+        results[name] = render(radiance, width, height, Budget(spp=options.spp), config, seed=options.seed)
+    say(f"rendering a reference of {options.reference_spp} samples per pixel")
+    reference = references.obtain(
+        radiance,
+        width,
+        height,
+        options.reference_spp,
+        references.identify(SCENE, options.renderer),
+        cache=options.output / "reference",
+    )
+    write_images(options.output, results, reference)
+    contact_sheet(options.output / "demo.png", results, reference)
+    print(table(results, reference))
+    print(f"\n{time.perf_counter() - began:.0f} s in all. Written to {options.output}/:")
+    for file, text in files().items():
+        print(f"  {file:34} {text}")
+    return 0
+
+
+def arguments(words: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=Path("demo"), metavar="DIR")
+    parser.add_argument("--renderer", default="mitsuba")
+    parser.add_argument("--size", type=size, default=(320, 240), metavar="WxH")
+    parser.add_argument("--spp", type=int, default=64)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--reference-spp", type=int, default=1024)
+    return parser.parse_args(words)
+
+
+def files() -> dict[str, str]:
+    return {
+        "demo.png": "everything in one picture",
+        "pt.exr, pmc.exr": "images with layers: samples, standard error, strategy",
+        "pt.png, pmc.png, reference.png": "the same, tone-mapped",
+        "caustic-{pt,pmc,reference}.png": "the caustic, enlarged four times",
+        "strategy.png": f"the radius that proposed ({radii()}); its brightness is the sample density",
+    }
+
+
+def write_images(folder: Path, results: dict[str, Result], reference: references.Reference) -> None:
+    """Write the EXR and PNG files."""
+    for name, result in results.items():
+        film = result.film
+        layers = {"samples": film.samples, "error": film.standard_error, "strategy": film.strategy}
+        images.write_exr(folder / f"{name}.exr", film.mean, layers, {"pmc:method": METHODS[name][0]})
+    for name, image in pictures(results, reference).items():
+        images.write_png(folder / f"{name}.png", image)
+        images.write_png(folder / f"caustic-{name}.png", enlarged(crop(image)))
+    images.write_png_encoded(folder / "strategy.png", strategy_picture(results["pmc"]))
+
+
+def pictures(results: dict[str, Result], reference: references.Reference) -> dict[str, NDArray[np.float32]]:
+    return {**{name: result.film.mean for name, result in results.items()}, "reference": reference.mean}
+
+
+def crop(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    height, width = image.shape[:2]
+    left, top, right, bottom = CAUSTIC
+    return image[round(top * height) : round(bottom * height), round(left * width) : round(right * width)]
+
+
+def enlarged(image: NDArray[np.float32], factor: int = 4) -> NDArray[np.float32]:
+    return image.repeat(factor, axis=0).repeat(factor, axis=1)
+
+
+def strategy_picture(result: Result) -> NDArray[np.float32]:
+    """The strategy image scaled so that the densest half per cent of pixels is at full brightness."""
+    counts = result.film.strategy.astype(np.float32)
+    top = np.quantile(counts.max(axis=2), 0.995)
+    return np.sqrt(np.clip(counts / max(float(top), 1e-6), 0.0, 1.0))
+
+
+def radii() -> str:
+    """The default kernel's radii with the colours of the strategy image."""
+    colours = ("red", "green", "blue")
+    return ", ".join(
+        f"{colour} {radius:g} px" for colour, radius in zip(colours, Config().radii, strict=False)
+    )
+
+
+def contact_sheet(path: Path, results: dict[str, Result], reference: references.Reference) -> None:
+    """One picture: images above, caustics below, strategy and sample counts beside them."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    titles = {"pt": "path tracing", "pmc": "PMC, same samples", "reference": "reference"}
+    figure, axes = pyplot.subplots(2, 4, figsize=(16, 6.6), layout="constrained")
+    for column, (name, image) in enumerate(pictures(results, reference).items()):
+        axes[0, column].imshow(display(image), interpolation="nearest")
+        axes[0, column].set_title(titles[name])
+        axes[1, column].imshow(display(crop(image)), interpolation="nearest")
+        axes[1, column].set_title(f"{titles[name]}: the caustic")
+    axes[0, 3].imshow(strategy_picture(results["pmc"]), interpolation="nearest")
+    axes[0, 3].set_title(f"radius that proposed: {radii()}")
+    counts = results["pmc"].film.samples
+    density = axes[1, 3].imshow(counts, interpolation="nearest", norm="log", cmap="magma")
+    axes[1, 3].set_title(f"samples per pixel: {counts.min()} to {counts.max()}")
+    scale = axes[1, 3].inset_axes((0.05, 0.14, 0.5, 0.03))
+    figure.colorbar(density, cax=scale, orientation="horizontal")
+    scale.tick_params(colors="white")
+    for axis in axes.flat:
+        axis.set_axis_off()
+    figure.savefig(path, dpi=110)
+    pyplot.close(figure)
+
+
+def table(results: dict[str, Result], reference: references.Reference) -> str:
+    """Time split, errors and bias of both methods, the reference's own noise subtracted."""
+    head = ("method", "spp", "seconds", "renderer", "sampler", "MSE", "tvi error", "SSIM", "bias")
+    lines = ["".join(f"{name:>11}" for name in head)]
+    errors = {}
+    for name, result in results.items():
+        image, seconds = result.film.mean, result.seconds
+        mse = metrics.mse(image, reference.mean, reference_variance=reference.variance)
+        tvi = metrics.tvi_error(image, reference.mean, reference_variance=reference.luminance_variance)
+        errors[name] = (mse, tvi)
+        cells = (
+            "PT" if name == "pt" else "PMC",
+            f"{result.spp:g}",
+            f"{seconds['total']:.2f}",
+            f"{seconds['renderer'] / seconds['total']:.1%}",
+            f"{seconds['sampler'] / seconds['total']:.1%}",
+            f"{mse:.3g}",
+            f"{tvi:.3g}",
+            f"{metrics.ssim(image, reference.mean):.3f}",
+            f"{metrics.bias(image, reference.mean):+.2%}",
+        )
+        lines.append("".join(f"{cell:>11}" for cell in cells))
+    gains = [pt / pmc for pt, pmc in zip(errors["pt"], errors["pmc"], strict=True)]
+    lines.append(
+        f"\nAt equal samples PMC has {gains[0]:.1f} times less MSE and {gains[1]:.1f} times less tvi error "
+        "than path tracing with the same Sobol points.\n"
+        f"The reference has {reference.spp} samples per pixel; its own noise (MSE "
+        f"{reference.variance.mean():.2g}) is subtracted; its mean luminance is known to "
+        f"{reference.bias_error:.2%}."
+    )
+    return "\n".join(lines)
+
+
+def say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

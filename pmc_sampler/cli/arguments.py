@@ -1,0 +1,144 @@
+"""The command line's grammar: what can be asked, and the sentence that what cannot gets."""
+
+import argparse
+import math
+import re
+from pathlib import Path
+from typing import NoReturn
+
+from pmc_sampler import __version__
+
+METHODS = ("pmc", "pmc-paper", "pt")
+DEFAULT_RENDERER = "mitsuba"
+DEFAULT_SPP = 64
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that answers bad input with one sentence instead of a page of usage."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the sentence to standard error and exit with status 2."""
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The parser of ``pmc-sampler``; ``command`` of its result names what to do."""
+    top = Parser(
+        prog="pmc-sampler",
+        description="Spends a renderer's samples where the eye sees noise, by Population Monte Carlo.",
+        allow_abbrev=False,
+    )
+    top.add_argument("--version", action="version", version=f"pmc-sampler {__version__}")
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
+    _render(commands.add_parser("render", help="render a scene to an EXR and a PNG", allow_abbrev=False))
+    _compare(
+        commands.add_parser("compare", help="all metrics of one image against another", allow_abbrev=False)
+    )
+    for name, text in (
+        ("scenes", "list the built-in scenes"),
+        ("renderers", "list the renderers, and what a missing one needs"),
+    ):
+        command = commands.add_parser(name, help=text, allow_abbrev=False)
+        command.add_argument("--json", action="store_true", help="print one JSON object")
+    return top
+
+
+def _render(p: argparse.ArgumentParser) -> None:
+    p.add_argument("scene", metavar="SCENE", help="a built-in scene's name or a scene file")
+    p.add_argument("--renderer", default=DEFAULT_RENDERER, metavar="NAME", help="default: %(default)s")
+    p.add_argument(
+        "--method",
+        choices=METHODS,
+        default="pmc",
+        help="pmc: the default sampler; pmc-paper: the paper's parameters; pt: uniform path tracing",
+    )
+    p.add_argument(
+        "--sampler",
+        choices=("sobol", "independent"),
+        default="sobol",
+        help="the renderer's random numbers: Owen-scrambled Sobol points (default) or independent ones",
+    )
+    p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
+    p.add_argument(
+        "--spp",
+        type=positive,
+        metavar="N",
+        help=f"samples per pixel; default {DEFAULT_SPP} if no budget is given",
+    )
+    p.add_argument("--seconds", type=positive, metavar="S", help="stop after S seconds")
+    p.add_argument(
+        "--visible-noise",
+        type=share,
+        metavar="F",
+        help="stop when at most the share F of pixels shows noise, 0 to 1",
+    )
+    p.add_argument("--seed", type=seed, default=0, metavar="N", help="default: %(default)s")
+    p.add_argument(
+        "--config", type=Path, metavar="FILE.toml", help="settings of the sampler that replace the method's"
+    )
+    p.add_argument("-o", "--output", type=Path, metavar="OUT.exr", help="default: SCENE.exr in this folder")
+    p.add_argument(
+        "--checkpoint",
+        type=Path,
+        metavar="FILE",
+        help="save the state to FILE every minute and when interrupted; resume from it if it exists",
+    )
+    p.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _compare(p: argparse.ArgumentParser) -> None:
+    p.add_argument("test", metavar="TEST", type=Path, help="an image file")
+    p.add_argument("reference", metavar="REFERENCE", type=Path, help="the image file to measure it against")
+    p.add_argument(
+        "--white-luminance",
+        type=positive,
+        default=100.0,
+        metavar="CD/M2",
+        help="cd/m2 that a luminance of 1 stands for; default: %(default)s",
+    )
+    p.add_argument(
+        "--exposure",
+        type=positive,
+        default=1.0,
+        metavar="F",
+        help="factor before display encoding; default: 1",
+    )
+    p.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def size(text: str) -> tuple[int, int]:
+    """``640x480`` as (width, height)."""
+    match = re.fullmatch(r"(\d{1,6})x(\d{1,6})", text)
+    if match is None or not (width := int(match[1])) or not (height := int(match[2])):
+        raise argparse.ArgumentTypeError(f"{text!r} is no size; give width and height as in 640x480")
+    return width, height
+
+
+def positive(text: str) -> float:
+    """A finite number above 0."""
+    number = _number(text)
+    if not (number > 0.0 and math.isfinite(number)):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number above 0")
+    return number
+
+
+def share(text: str) -> float:
+    """A number from 0 to 1."""
+    number = _number(text)
+    if not 0.0 <= number <= 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a share from 0 to 1")
+    return number
+
+
+def seed(text: str) -> int:
+    """A whole number from 0 to 2^64 - 1."""
+    if not re.fullmatch(r"\d{1,20}", text) or int(text) >= 2**64:
+        raise argparse.ArgumentTypeError(f"{text!r} is no seed; give a whole number from 0 to 2^64 - 1")
+    return int(text)
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

@@ -1,0 +1,159 @@
+"""``pmc-sampler render``: what can be refused is refused before the first sample."""
+
+import argparse
+import importlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from types import FrameType
+from typing import Any
+
+from pmc_sampler import Sampler
+
+from . import settings
+from .checkpoint import Checkpoint
+from .errors import CommandError
+from .output import Output, report
+from .progress import Report, progress
+
+CHECKPOINT_SECONDS = 60.0
+INTERRUPTED = 130
+
+
+@dataclass
+class Job:
+    """A render under way: who traces, who samples, where the state is kept and the time that was spent."""
+
+    radiance: Any
+    sampler: Sampler
+    checkpoint: Checkpoint | None
+    seconds: dict[str, float] = field(default_factory=lambda: {"total": 0.0, "renderer": 0.0, "sampler": 0.0})
+
+    def save(self) -> None:
+        """Save the state, if the user wants it saved."""
+        if self.checkpoint is not None:
+            self.checkpoint.save(self.sampler, self.seconds)
+
+
+def render(options: argparse.Namespace) -> int:
+    """Render, write and report; returns the exit status."""
+    output = Output(options)
+    job = _job(options)
+    failure: CommandError | None = None
+    with progress(f"{options.scene}, {options.method}") as shown:
+        try:
+            finished = _run(job, shown)
+        except CommandError as error:
+            finished, failure = False, error
+        except Exception as error:  # whatever a renderer raises: what was sampled is worth keeping
+            text = " ".join(str(error).split()) or type(error).__name__
+            finished, failure = False, CommandError(f"rendering failed: {text}.", status=1)
+    if not job.sampler.samples:
+        raise failure or CommandError(
+            "interrupted before the first sample, so no image was written.", INTERRUPTED
+        )
+    if not finished and failure is None:
+        job.save()
+    ended = job.sampler.done if finished else "interrupted" if failure is None else "failed"
+    summary = output.write(job.sampler, job.radiance, job.seconds, ended)
+    if finished and job.checkpoint is not None:
+        job.checkpoint.remove()
+    report(summary, options.json)
+    if failure is not None:
+        raise CommandError(f"{failure} {output.exr} holds what was sampled before.", status=1) from failure
+    if not finished:
+        again = f"; the same command goes on from {options.checkpoint}" if job.checkpoint else ""
+        raise CommandError(
+            f"interrupted; {output.exr} holds the {job.sampler.spp:.3g} samples per pixel until then{again}.",
+            INTERRUPTED,
+        )
+    return 0
+
+
+def _job(options: argparse.Namespace) -> Job:
+    config = settings.config(options.method, options.config)
+    budget = settings.budget(options)
+    try:
+        adapters = importlib.import_module("pmc_sampler.adapters")
+        radiance = adapters.load(options.renderer, options.scene, sampler=options.sampler, size=options.size)
+    except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:
+        raise CommandError(" ".join(str(error).split())) from error
+    checkpoint = None
+    if options.checkpoint is not None:
+        identity = {
+            **{name: getattr(options, name) for name in ("scene", "renderer", "sampler", "seed")},
+            "size": [radiance.width, radiance.height],
+            "budget": vars(budget),
+            "config": config.to_dict(),
+        }
+        checkpoint = Checkpoint(options.checkpoint, identity)
+        checkpoint.check_writable()
+        resumed = checkpoint.resume()
+        if resumed is not None:
+            return Job(radiance, resumed, checkpoint, dict(checkpoint.seconds))
+    try:
+        sampler = Sampler(
+            radiance.width,
+            radiance.height,
+            budget,
+            config,
+            seed=options.seed,
+            aovs=getattr(radiance, "aovs", 0),
+        )
+    except (ValueError, TypeError, MemoryError) as error:
+        raise CommandError(str(error)) from error
+    return Job(radiance, sampler, checkpoint)
+
+
+def _run(job: Job, shown: Report) -> bool:
+    """Sample until the budget is met, or until it is interrupted: whether it was finished."""
+    sampler, seconds, before = job.sampler, job.seconds, job.seconds["total"]
+    began = saved = time.perf_counter()
+    try:
+        with _stop_asked() as asked:
+            while not sampler.done:
+                start = time.perf_counter()
+                batch = sampler.ask()
+                drawn = time.perf_counter()
+                values = job.radiance(batch)
+                rendered = time.perf_counter()
+                sampler.tell(batch, values)
+                told = time.perf_counter()
+                seconds["renderer"] += rendered - drawn
+                seconds["sampler"] += drawn - start + told - rendered
+                seconds["total"] = before + told - began
+                shown(sampler.fraction, f"{sampler.spp:.3g} spp")
+                if asked():
+                    return bool(sampler.done)
+                if told - saved > CHECKPOINT_SECONDS:
+                    job.save()
+                    saved = time.perf_counter()
+    except KeyboardInterrupt:
+        return False
+    return True
+
+
+@contextmanager
+def _stop_asked() -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C or a termination signal came; the batch in work is finished first.
+
+    A second signal does not wait: it raises KeyboardInterrupt wherever the program is.
+    """
+    came = False
+
+    def note(number: int, frame: FrameType | None) -> None:
+        nonlocal came
+        if came:
+            raise KeyboardInterrupt
+        came = True
+        print("\nstopping after this batch; once more stops now.", file=sys.stderr)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: came
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,57 @@
+"""From what was typed to the sampler's settings: method, file of settings, budget."""
+
+import argparse
+import importlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pmc_sampler import Budget, Config
+
+from .arguments import DEFAULT_SPP
+from .errors import CommandError
+
+_PRESETS = {"pmc": "default", "pmc-paper": "paper", "pt": "uniform"}
+
+
+def config(method: str, file: Path | None) -> Config:
+    """The method's settings, those in the TOML file in their place, a ``preset`` too."""
+    given = {} if file is None else _read(file)
+    try:
+        return Config.from_dict({"preset": _PRESETS[method], **given})
+    except (ValueError, TypeError) as error:
+        raise CommandError(f"{str(file)!r}: {error}") from error
+
+
+def budget(options: argparse.Namespace) -> Budget:
+    """The limits that were given; samples per pixel by default."""
+    limits = {name: getattr(options, name) for name in ("spp", "seconds", "visible_noise")}
+    if all(value is None for value in limits.values()):
+        limits["spp"] = DEFAULT_SPP
+    try:
+        return Budget(**limits)
+    except (ValueError, TypeError) as error:
+        raise CommandError(str(error)) from error
+
+
+def _read(file: Path) -> Mapping[str, Any]:
+    try:
+        toml = importlib.import_module("tomllib")
+    except ModuleNotFoundError:  # Python 3.10
+        try:
+            toml = importlib.import_module("tomli")
+        except ImportError as error:
+            raise CommandError(
+                "--config needs tomli on Python 3.10: pip install 'pmc-sampler[cli]'."
+            ) from error
+    try:
+        text = file.read_text(encoding="utf-8")
+    except OSError as error:
+        raise CommandError(f"the settings {str(file)!r} cannot be read: {error.strerror}.") from error
+    except UnicodeDecodeError as error:
+        raise CommandError(f"the settings {str(file)!r} are no TOML: {error}.") from error
+    try:
+        settings: Mapping[str, Any] = toml.loads(text)
+    except toml.TOMLDecodeError as error:
+        raise CommandError(f"the settings {str(file)!r} are no TOML: {error}.") from error
+    return settings

@@ -1,0 +1,669 @@
+"""The command line: what it writes, what it says and what it refuses. Exact throughout.
+
+Most tests put a renderer that costs nothing in the place of the real ones; the last ones drive Mitsuba.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pmc_sampler.eval import images
+
+import pmc_sampler
+from pmc_sampler import Budget, Config, adapters, render
+from pmc_sampler.cli import main
+
+pytestmark = pytest.mark.needs("OpenImageIO")
+
+WIDTH, HEIGHT = 80, 60  # a batch holds one sample a pixel
+
+
+class Lamp:
+    """Radiance that grows to the right, lit one time in four; `before` gets the number of each batch."""
+
+    takes_batch = True
+
+    def __init__(
+        self,
+        width: int = WIDTH,
+        height: int = HEIGHT,
+        before: Callable[[int], None] | None = None,
+        aovs: int = 0,
+    ) -> None:
+        self.width, self.height, self.before, self.aovs = width, height, before, aovs
+        self.aov_names = [f"extra{k}" for k in range(aovs)]
+        self.calls = 0
+
+    def __call__(self, batch: Any) -> np.ndarray:
+        if self.before is not None:
+            self.before(self.calls)
+        self.calls += 1
+        lit = (batch.scramble ^ (batch.index * np.uint32(0x9E3779B9))) * np.uint32(0x7FEB352D) < 2**30
+        value = np.where(lit, 4.0, 0.0) * (0.1 + batch.positions[:, 0] / self.width)
+        return np.repeat(value[:, None].astype(np.float32), 3 + self.aovs, axis=1)
+
+
+@pytest.fixture
+def lamp(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., list[dict[str, Any]]]:
+    """Call it to put a Lamp in the place of every renderer; gives the list of what was asked for."""
+    monkeypatch.chdir(tmp_path)
+
+    def install(**settings: Any) -> list[dict[str, Any]]:
+        asked: list[dict[str, Any]] = []
+
+        def load(renderer: str, scene: str, **options: Any) -> Lamp:
+            asked.append({"renderer": renderer, "scene": scene, **options})
+            width, height = options.get("size") or (WIDTH, HEIGHT)
+            return Lamp(width, height, **settings)
+
+        monkeypatch.setattr(adapters, "load", load)
+        return asked
+
+    return install
+
+
+def metadata(path: str | Path) -> dict[str, Any]:
+    return {
+        name.removeprefix("pmc:"): value
+        for name, value in images.read(path).metadata.items()
+        if name.startswith("pmc:")
+    }
+
+
+def test_render_writes_the_library_s_image(lamp: Callable[..., Any], tmp_path: Path) -> None:
+    """The EXR holds the bits that `render` gives, the layers, and everything needed to make it again."""
+    lamp()
+    assert main(["render", "here", "--spp", "8", "--seed", "5", "-o", "a.exr"]) == 0
+    film = render(Lamp(), WIDTH, HEIGHT, Budget(spp=8), seed=5).film
+    image = images.read("a.exr")
+    np.testing.assert_array_equal(image.rgb, film.mean)
+    assert set(image.layers) == {"samples", "error", "strategy"}
+    np.testing.assert_array_equal(image.layers["samples"], film.samples)
+    np.testing.assert_array_equal(image.layers["error"], film.standard_error)
+    np.testing.assert_array_equal(image.layers["strategy"], film.strategy)
+    known = metadata("a.exr")
+    assert json.loads(known["config"]) == Config().to_dict()
+    assert json.loads(known["budget"]) == {"spp": 8.0, "seconds": None, "visible_noise": None}
+    assert (known["seed"], known["samples"]) == ("5", str(8 * WIDTH * HEIGHT))
+    assert (known["scene"], known["method"], known["done"]) == ("here", "pmc", "spp")
+    assert known["seconds.total"] >= known["seconds.renderer"] + known["seconds.sampler"] > 0
+    assert json.loads(known["versions"])["pmc_sampler"] == pmc_sampler.__version__
+    assert images.read("a.png").rgb.shape == (HEIGHT, WIDTH, 3)
+    assert sorted(os.listdir(tmp_path)) == ["a.exr", "a.png"]
+
+
+def test_json_is_one_object_and_nothing_else(
+    lamp: Callable[..., Any], capfd: pytest.CaptureFixture[str]
+) -> None:
+    lamp()
+    assert main(["render", "here", "--spp", "4", "--json"]) == 0
+    out, err = capfd.readouterr()
+    summary = json.loads(out)
+    assert err == ""  # standard error is no terminal here
+    assert summary["samples"] == 4 * WIDTH * HEIGHT
+    assert summary["spp"] == 4.0
+    assert set(summary["seconds"]) == {"total", "renderer", "sampler"}
+    assert summary["rejected"] == 0
+    assert 0.0 <= summary["visible_noise"] <= 1.0
+    assert summary["done"] == "spp"
+    assert (summary["output"], summary["preview"]) == ("here.exr", "here.png")
+
+
+def test_words_name_the_files_and_the_times(
+    lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp()
+    assert main(["render", "some/scene.xml", "--spp", "2"]) == 0
+    out = capsys.readouterr().out
+    assert "2 samples per pixel" in out
+    assert "scene.exr and scene.png are written." in out
+
+
+@pytest.mark.parametrize(
+    ("method", "config"),
+    [("pmc", Config()), ("pt", Config.uniform()), ("pmc-paper", Config.paper(population=4000))],
+)
+def test_methods_are_the_library_s(
+    method: str, config: Config, lamp: Callable[..., Any], tmp_path: Path
+) -> None:
+    lamp()
+    (tmp_path / "c.toml").write_text("population = 4000" if method == "pmc-paper" else "")
+    words = ["render", "here", "--method", method, "--spp", "30", "--config", "c.toml", "-o", "a.exr"]
+    assert main(words) == 0
+    assert json.loads(metadata("a.exr")["config"]) == config.to_dict()
+    film = render(Lamp(), WIDTH, HEIGHT, Budget(spp=30), config).film
+    np.testing.assert_array_equal(images.read("a.exr").rgb, film.mean)
+
+
+def test_a_config_file_replaces_settings(lamp: Callable[..., Any], tmp_path: Path) -> None:
+    lamp()
+    (tmp_path / "c.toml").write_text("pool_share = 0.5\nradii = [2, 4]\n")
+    assert main(["render", "here", "--spp", "6", "--config", "c.toml", "-o", "a.exr"]) == 0
+    assert json.loads(metadata("a.exr")["config"]) == Config(pool_share=0.5, radii=(2, 4)).to_dict()
+    (tmp_path / "c.toml").write_text('preset = "uniform"\n')
+    assert main(["render", "here", "--spp", "6", "--config", "c.toml", "-o", "a.exr"]) == 0
+    assert json.loads(metadata("a.exr")["config"]) == Config.uniform().to_dict()
+
+
+def test_the_renderer_gets_what_was_asked_for(lamp: Callable[..., Any]) -> None:
+    asked = lamp()
+    words = [
+        "render",
+        "x.xml",
+        "--renderer",
+        "some",
+        "--sampler",
+        "independent",
+        "--size",
+        "70x65",
+        "--spp",
+        "1",
+    ]
+    assert main(words) == 0
+    assert asked == [{"renderer": "some", "scene": "x.xml", "sampler": "independent", "size": (70, 65)}]
+    assert images.read("x.exr").rgb.shape == (65, 70, 3)
+
+
+def test_the_seed_is_the_image(lamp: Callable[..., Any]) -> None:
+    lamp()
+    for name, seed in (("a", "1"), ("b", "1"), ("c", "2")):
+        assert main(["render", "here", "--spp", "4", "--seed", seed, "-o", f"{name}.exr"]) == 0
+    a, b, c = (images.read(f"{name}.exr").rgb for name in "abc")
+    np.testing.assert_array_equal(a, b)
+    assert (a != c).any()
+
+
+def test_budgets(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:
+    """64 samples per pixel unless a limit is given; the first that is met ends the render."""
+    lamp()
+    done = {}
+    for words in (
+        (),
+        ("--seconds", "1e-9"),
+        ("--visible-noise", "0.9999", "--spp", "1000"),
+        ("--spp", "2.5"),
+    ):
+        assert main(["render", "here", "--json", *words]) == 0
+        summary = json.loads(capsys.readouterr().out)
+        done[words[:1]] = (summary["done"], summary["spp"])
+    assert done[()] == ("spp", 64.0)
+    assert done[("--seconds",)][0] == "seconds"
+    assert done[("--visible-noise",)][0] == "visible_noise"
+    assert done[("--spp",)] == ("spp", 2.5)
+
+
+def test_extra_channels_become_layers(lamp: Callable[..., Any]) -> None:
+    lamp(aovs=2)
+    assert main(["render", "here", "--spp", "4", "-o", "a.exr"]) == 0
+    layers = images.read("a.exr").layers
+    assert set(layers) == {"samples", "error", "strategy", "extra0", "extra1"}
+    assert layers["extra0"].shape == (HEIGHT, WIDTH)
+
+
+def test_rejected_samples_are_counted(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp()
+    honest = Lamp.__call__
+
+    def sick(self: Lamp, batch: Any) -> np.ndarray:
+        values = honest(self, batch)
+        values[:7] = np.nan
+        return values
+
+    monkeypatch.setattr(Lamp, "__call__", sick)
+    assert main(["render", "here", "--spp", "2"]) == 0
+    assert "14 samples were rejected" in capsys.readouterr().out
+    assert metadata("here.exr")["rejected"] == "14"
+
+
+BAD = [
+    ("render", "required: SCENE"),
+    ("render here --size 0x4", "'0x4' is no size"),
+    ("render here --size 4", "640x480"),
+    ("render here --size 4x4x4", "640x480"),
+    ("render here --size 99999x9", "65535"),
+    ("render here --spp 0", "not a number above 0"),
+    ("render here --spp nan", "not a number above 0"),
+    ("render here --spp many", "not a number above 0"),
+    ("render here --seconds -1", "above 0"),
+    ("render here --visible-noise 2", "share"),
+    ("render here --visible-noise 0", "between 0 and 1"),
+    ("render here --seed -1", "no seed"),
+    ("render here --seed 18446744073709551616", "no seed"),
+    ("render here --seed 1.5", "no seed"),
+    ("render here --method best", "best"),
+    ("render here --sampler halton", "halton"),
+    ("render here --config none.toml", "cannot be read"),
+    ("render here --config bad.toml", "no TOML"),
+    ("render here --config binary.toml", "no TOML"),
+    ("render here --config unknown.toml", "unknown setting 'radius'"),
+    ("render here --config wrong.toml", "pool_share"),
+    ("render here --config large.toml", "population is 999999"),
+    ("render here -o a.png", ".exr file"),
+    ("render here -o none/a.exr", "does not exist"),
+    ("render here -o folder.exr", "is a folder"),
+    ("render here -o taken.exr", "is a folder"),
+    ("render here -o /proc/a.exr", "no file can be written"),
+    ("render here --checkpoint none/state", "folder that exists"),
+    ("render here --checkpoint folder.exr", "folder that exists"),
+    ("render here --checkpoint /proc/state", "no file can be written"),
+    ("render here --checkpoint bad.toml", "cannot be read"),
+    ("render here --spp 1 --bogus", "--bogus"),
+    ("compare a.exr", "REFERENCE"),
+    ("compare none.exr none.exr", "no image file 'none.exr'"),
+    ("compare bad.toml bad.toml", "none"),
+    ("dance", "dance"),
+    ("", "COMMAND"),
+]
+
+
+@pytest.mark.parametrize(("words", "sentence"), BAD, ids=[words or "nothing" for words, _ in BAD])
+def test_bad_input_gets_one_sentence_and_status_2(
+    words: str,
+    sentence: str,
+    lamp: Callable[..., Any],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    def never(batch: int) -> None:
+        pytest.fail("a sample was rendered before the input was refused")
+
+    lamp(before=never)
+    (tmp_path / "bad.toml").write_text("pool_share = = 1")
+    (tmp_path / "binary.toml").write_bytes(b"\xff\xfe\x00")
+    (tmp_path / "unknown.toml").write_text("radius = 1")
+    (tmp_path / "wrong.toml").write_text("pool_share = 2")
+    (tmp_path / "large.toml").write_text("population = 999999")
+    (tmp_path / "folder.exr").mkdir()
+    (tmp_path / "taken.png").mkdir()
+    before = sorted(os.listdir(tmp_path))
+    try:
+        status = main(words.split())
+    except SystemExit as stop:
+        status = int(stop.code or 0)
+    out, err = capsys.readouterr()
+    assert status == 2
+    assert out == ""
+    assert err.startswith("pmc-sampler")
+    assert err.count("\n") == 1, f"one line was expected: {err}"
+    assert sentence in err
+    assert sorted(os.listdir(tmp_path)) == before
+
+
+def test_what_a_renderer_says_of_a_scene_is_passed_on(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+
+    def load(renderer: str, scene: str, **options: Any) -> Any:
+        raise RuntimeError("no LLVM here;\ninstall libllvm19")
+
+    monkeypatch.setattr(adapters, "load", load)
+    assert main(["render", "here"]) == 2
+    assert capsys.readouterr().err == "pmc-sampler render: no LLVM here; install libllvm19\n"
+
+
+def interrupt_at(batch: int, number: int = signal.SIGINT) -> Callable[[int], None]:
+    def before(calls: int) -> None:
+        if calls == batch:
+            os.kill(os.getpid(), number)
+
+    return before
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_finishes_the_batch_and_writes(
+    number: int, lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp(before=interrupt_at(2, number))
+    handlers = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
+    assert main(["render", "here", "--spp", "9"]) == 130
+    err = capsys.readouterr().err
+    assert "interrupted; here.exr holds the 3 samples per pixel until then." in err
+    assert metadata("here.exr")["done"] == "interrupted"
+    assert images.read("here.exr").layers["samples"].sum() == 3 * WIDTH * HEIGHT
+    assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
+
+
+def test_ctrl_c_before_the_first_batch_writes_nothing(
+    lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def before(calls: int) -> None:
+        raise KeyboardInterrupt
+
+    lamp(before=before)
+    assert main(["render", "here", "--spp", "9"]) == 130
+    assert "before the first sample" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []
+
+
+@pytest.mark.parametrize("hard", [False, True], ids=["once", "twice"])
+def test_an_interrupted_render_resumes_to_the_same_bits(
+    hard: bool, lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A second Ctrl-C stops within a batch; that batch is drawn again."""
+
+    def before(calls: int) -> None:
+        if calls == 4:
+            for _ in range(2 if hard else 1):
+                os.kill(os.getpid(), signal.SIGINT)
+
+    words = ["render", "here", "--spp", "12", "--checkpoint", "state"]
+    lamp()
+    assert main([*words[:-2], "-o", "whole.exr"]) == 0
+    lamp(before=before)
+    assert main([*words, "-o", "a.exr"]) == 130
+    assert "the same command goes on from state" in capsys.readouterr().err
+    kept = 4 if hard else 5
+    assert images.read("a.exr").layers["samples"].sum() == kept * WIDTH * HEIGHT
+    assert {"state", "state.json"} <= set(os.listdir(tmp_path))
+    lamp()
+    assert main([*words, "-o", "a.exr"]) == 0
+    np.testing.assert_array_equal(images.read("a.exr").rgb, images.read("whole.exr").rgb)
+    assert not {"state", "state.json"} & set(os.listdir(tmp_path))
+
+
+def test_checkpoints_are_written_by_time(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A process that is killed loses what came after the last one: here, with no time between, one batch."""
+    import pmc_sampler.cli.render as command
+
+    monkeypatch.setattr(command, "CHECKPOINT_SECONDS", -1.0)
+
+    class Killed(BaseException):
+        pass
+
+    def before(calls: int) -> None:
+        if calls == 4:
+            raise Killed
+
+    words = ["render", "here", "--spp", "12", "--checkpoint", "state", "-o", "a.exr"]
+    lamp(before=before)
+    with pytest.raises(Killed):
+        main(words)
+    assert not (tmp_path / "a.exr").exists()
+    state = pmc_sampler.Sampler.load(tmp_path / "state")
+    assert state.samples == 4 * WIDTH * HEIGHT
+    lamp()
+    assert main(words) == 0
+    film = render(Lamp(), WIDTH, HEIGHT, Budget(spp=12)).film
+    np.testing.assert_array_equal(images.read("a.exr").rgb, film.mean)
+
+
+@pytest.mark.parametrize(
+    ("changed", "name"),
+    [
+        (["other", "--spp", "12"], "scene"),
+        (["here", "--spp", "13"], "budget"),
+        (["here", "--spp", "12", "--seed", "1"], "seed"),
+        (["here", "--spp", "12", "--size", "81x60"], "size"),
+        (["here", "--spp", "12", "--method", "pt"], "config"),
+        (["here", "--spp", "12", "--sampler", "independent"], "sampler"),
+        (["here", "--spp", "12", "--renderer", "other"], "renderer"),
+    ],
+)
+def test_a_checkpoint_of_another_render_is_refused(
+    changed: list[str],
+    name: str,
+    lamp: Callable[..., Any],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lamp(before=interrupt_at(1))
+    assert main(["render", "here", "--spp", "12", "--checkpoint", "state"]) == 130
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    capsys.readouterr()
+    lamp()
+    assert main(["render", *changed, "--checkpoint", "state"]) == 2
+    assert f"of another render: {name} was" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_damaged_checkpoint_is_refused(
+    lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp(before=interrupt_at(1))
+    words = ["render", "here", "--spp", "12", "--checkpoint", "state"]
+    assert main(words) == 130
+    state = tmp_path / "state"
+    state.write_bytes(state.read_bytes()[:-200])
+    lamp()
+    capsys.readouterr()
+    assert main(words) == 2
+    assert "delete it to begin anew" in capsys.readouterr().err
+
+
+def test_a_renderer_that_fails_leaves_what_was_sampled(
+    lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]
+) -> None:
+    def before(calls: int) -> None:
+        if calls == 3:
+            raise RuntimeError("the device was lost")
+
+    lamp(before=before)
+    assert main(["render", "here", "--spp", "9"]) == 1
+    err = capsys.readouterr().err
+    assert "the device was lost" in err
+    assert "here.exr holds what was sampled before" in err
+    assert metadata("here.exr")["done"] == "failed"
+    assert images.read("here.exr").layers["samples"].sum() == 3 * WIDTH * HEIGHT
+
+
+def test_a_renderer_that_fails_at_once_leaves_nothing(
+    lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def before(calls: int) -> None:
+        raise RuntimeError("the device was lost")
+
+    lamp(before=before)
+    assert main(["render", "here", "--spp", "9"]) == 1
+    assert "the device was lost" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_failed_write_leaves_the_old_image(
+    lamp: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lamp()
+    assert main(["render", "here", "--spp", "2"]) == 0
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(*arguments: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "replace", full)
+    assert main(["render", "here", "--spp", "3"]) == 1
+    assert "No space left on device" in capsys.readouterr().err
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("words", [["render", "here"], ["compare", "a.exr", "b.exr"]])
+def test_a_missing_library_names_the_extra(
+    words: list[str],
+    lamp: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    lamp()
+    monkeypatch.setitem(sys.modules, "OpenImageIO", None)
+    assert main(words) == 2
+    assert "pip install 'pmc-sampler[eval]'" in capsys.readouterr().err
+
+
+def test_progress_is_drawn_on_a_terminal(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp()
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert main(["render", "here", "--spp", "3", "--json"]) == 0
+    out, err = capsys.readouterr()
+    json.loads(out)
+    assert "here, pmc" in err
+    assert "100%" in err
+    monkeypatch.setitem(sys.modules, "rich.progress", None)
+    assert main(["render", "here", "--spp", "3"]) == 0
+    assert "pip install 'pmc-sampler[cli]'" in capsys.readouterr().err
+
+
+def test_compare_prints_every_metric(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    image = np.random.default_rng(1).random((16, 20, 3))
+    images.write_exr("a.exr", image)
+    images.write_exr("b.exr", 1.1 * image)
+    assert main(["compare", "b.exr", "a.exr"]) == 0
+    table = {line[:22].strip(): line for line in capsys.readouterr().out.splitlines()}
+    assert {"tvi error", "MSE", "PSNR", "SSIM", "relMSE", "SMAPE", "HDR-FLIP", "bias"} <= set(table)
+    assert "white_luminance_cd_m2 100" in table["tvi error"]
+    assert "epsilon 0.01" in table["relMSE"]
+    assert float(table["bias"].split()[1]) == pytest.approx(0.1, rel=1e-5)
+    assert main(["compare", "b.exr", "a.exr", "--json", "--white-luminance", "10"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    values = {row["name"]: row for row in found["metrics"]}
+    assert values["tvi error"]["constants"] == {"white_luminance_cd_m2": 10.0}
+    assert values["bias"]["value"] == pytest.approx(0.1, rel=1e-5)
+    assert main(["compare", "a.exr", "a.exr", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["metrics"]
+    assert {row["name"]: row["value"] for row in rows}["PSNR"] is None  # infinity is no JSON
+
+
+def test_compare_refuses_images_that_do_not_match(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    images.write_exr("a.exr", np.ones((4, 5, 3)))
+    images.write_exr("b.exr", np.ones((4, 6, 3)))
+    images.write_exr("c.exr", np.full((4, 5, 3), np.nan))
+    assert main(["compare", "a.exr", "b.exr"]) == 2
+    assert "5x4" in capsys.readouterr().err
+    assert main(["compare", "c.exr", "a.exr"]) == 2
+    assert "not finite" in capsys.readouterr().err
+
+
+def test_scenes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scenes"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert {"cornell-box", "cornell-box-mirrors", "diffuse", "thin-lens"} <= {
+        line.split()[0] for line in lines
+    }
+    assert main(["scenes", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["scenes"]
+    assert [row["name"] for row in found] == [line.split()[0] for line in lines]
+    assert all(row["description"].endswith(".") for row in found)
+
+
+def test_renderers_are_listed_with_what_they_lack(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = [
+        adapters.Availability("one", "One 1.0 on a CPU"),
+        adapters.Availability("two", None, "no LLVM; install libllvm19"),
+    ]
+    monkeypatch.setattr(adapters, "available", lambda: found)
+    assert main(["renderers"]) == 0
+    out = capsys.readouterr().out
+    assert "one  One 1.0 on a CPU\n" in out
+    assert "two  cannot run here: no LLVM; install libllvm19\n" in out
+    assert main(["renderers", "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["renderers"]
+    assert [(row["name"], row["runs"]) for row in rows] == [("one", True), ("two", False)]
+
+
+def test_help_and_version_go_to_standard_output(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--help"], ["render", "--help"], ["--version"]):
+        with pytest.raises(SystemExit) as stop:
+            main(words)
+        assert stop.value.code == 0
+        out, err = capsys.readouterr()
+        assert out
+        assert err == ""
+    assert pmc_sampler.__version__ in out
+
+
+@pytest.mark.needs("mitsuba")
+def test_mitsuba_renders_a_scene_by_every_method(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A built-in scene by name and the same as a file are one image; the methods are three."""
+    from pmc_sampler import scenes
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "copy.xml").write_bytes(scenes.path("cornell-box").read_bytes())
+    (tmp_path / "paper.toml").write_text("population = 1000\n")
+    common = ["--size", "64x48", "--spp", "8", "--json"]
+    for name, words in {
+        "pmc": ["cornell-box"],
+        "file": ["copy.xml"],
+        "pt": ["cornell-box", "--method", "pt"],
+        "independent": ["cornell-box", "--method", "pt", "--sampler", "independent"],
+        "paper": ["cornell-box", "--method", "pmc-paper", "--config", "paper.toml"],
+    }.items():
+        assert main(["render", *words, *common, "-o", f"{name}.exr"]) == 0
+        summary = json.loads(capsys.readouterr().out)
+        assert summary["samples"] == 8 * 64 * 48
+        assert summary["seconds"]["renderer"] > 0
+    image = {name: images.read(f"{name}.exr") for name in ("pmc", "file", "pt", "independent", "paper")}
+    np.testing.assert_array_equal(image["pmc"].rgb, image["file"].rgb)
+    assert (image["pt"].layers["samples"] == 8).all()
+    assert image["pmc"].layers["samples"].std() > 0
+    assert (image["pt"].rgb != image["independent"].rgb).any()
+    assert "mitsuba" in json.loads(metadata("pmc.exr")["versions"])
+
+
+@pytest.mark.needs("mitsuba")
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("render cornell-bix", "did you mean 'cornell-box'"),
+        ("render none.xml", "none.xml"),
+        ("render broken.xml", "broken.xml"),
+        ("render picture.gif", "picture.gif"),
+        ("render cornell-box --renderer mitsuba3", "mitsuba"),
+    ],
+)
+def test_bad_scenes_get_one_sentence(
+    words: str,
+    sentence: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.xml").write_text('<scene version="3.0.0"><shape type="cube">')
+    (tmp_path / "picture.gif").write_text("")
+    assert main(words.split()) == 2
+    err = capsys.readouterr().err
+    assert sentence in err
+    assert err.count("\n") == 1
+    assert sorted(os.listdir(tmp_path)) == ["broken.xml", "picture.gif"]
+
+
+def test_the_installed_command_runs(tmp_path: Path) -> None:
+    """The entry point, in a process of its own, its output a pipe that nobody reads to the end."""
+    command = Path(sys.executable).with_name("pmc-sampler")
+    result = subprocess.run([command, "scenes"], cwd=tmp_path, capture_output=True, text=True, check=True)
+    assert "cornell-box" in result.stdout
+    assert result.stderr == ""
+    refused = subprocess.run(
+        [command, "render", "here", "-o", "a.jpg"], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert refused.returncode == 2
+    assert refused.stderr.count("\n") == 1
+    assert os.listdir(tmp_path) == []

@@ -1,0 +1,91 @@
+"""The demo and the benchmark scripts at sizes that take a second: they write what they say. Exact."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+from pmc_sampler.eval import images
+
+pytestmark = pytest.mark.needs("mitsuba", "OpenImageIO", "skimage", "flip_evaluator", "matplotlib")
+
+
+@pytest.fixture
+def script(checkout: Path) -> Iterator[Callable[[str], ModuleType]]:
+    """Import a script of the checkout by its path."""
+    loaded = []
+
+    def load(path: str) -> ModuleType:
+        name = f"script_{Path(path).stem}"
+        spec = importlib.util.spec_from_file_location(name, checkout / path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module  # where dataclasses look themselves up
+        loaded.append(name)
+        spec.loader.exec_module(module)
+        return module
+
+    yield load
+    for name in loaded:
+        del sys.modules[name]
+
+
+def test_the_demo(
+    script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["-o", str(tmp_path / "out"), "--size", "64x48", "--spp", "8", "--reference-spp", "32"]
+    assert script("examples/demo.py").main(words) == 0
+    out = capsys.readouterr().out
+    written = set(os.listdir(tmp_path / "out"))
+    pictures = {f"{prefix}{name}.png" for prefix in ("", "caustic-") for name in ("pt", "pmc", "reference")}
+    assert written == pictures | {"demo.png", "strategy.png", "pt.exr", "pmc.exr", "reference"}
+    assert str(tmp_path / "out") in out
+    lines = [line.split() for line in out.splitlines()]
+    rows = {cells[0]: cells for cells in lines if cells[:1] in (["PT"], ["PMC"])}
+    assert rows["PT"][1] == rows["PMC"][1] == "8"
+    pt, pmc = (images.read(tmp_path / "out" / f"{name}.exr") for name in ("pt", "pmc"))
+    assert pt.layers["samples"].sum() == pmc.layers["samples"].sum() == 8 * 64 * 48
+    assert (pt.layers["samples"] == 8).all()
+    reference = images.read(tmp_path / "out" / "reference.png").rgb
+    # The crop is what the contact sheet shows: four times as large, and somewhere the brightest of the floor.
+    crop = images.read(tmp_path / "out" / "caustic-reference.png").rgb
+    assert crop.shape[0] % 4 == crop.shape[1] % 4 == 0
+    lower = reference[30:]
+    assert np.isclose(crop.max(), lower.max(), rtol=1e-3)
+
+
+def test_the_benchmark_of_samplers(
+    script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["-o", str(tmp_path / "out"), "--cache", str(tmp_path / "cache"), "--scenes", "diffuse"]
+    words += ["--size", "80x64", "--spp", "4", "--seeds", "2", "--reference-spp", "32"]
+    main = script("benchmarks/samplers.py").main
+    assert main(words) == 0
+    assert sorted(os.listdir(tmp_path / "out")) == ["results.md", "samplers.jsonl"]
+    page = (tmp_path / "out" / "results.md").read_text()
+    assert "## diffuse" in page
+    assert "--scenes diffuse --size 80x64 --spp 4 --seeds 2 --reference-spp 32`" in page
+    assert "mitsuba" in page
+    rows = (tmp_path / "out" / "samplers.jsonl").read_text()
+    assert rows.count("\n") == 10
+    capsys.readouterr()
+    assert main(words) == 0
+    assert "tvi error" not in capsys.readouterr().err  # nothing ran
+    assert (tmp_path / "out" / "samplers.jsonl").read_text() == rows
+
+
+def test_the_benchmark_of_overhead(script: Callable[[str], ModuleType], tmp_path: Path) -> None:
+    words = ["-o", str(tmp_path), "--sizes", "64x64", "--spp", "6", "--repeats", "2", "--renderer", ""]
+    assert script("benchmarks/overhead.py").main(words) == 0
+    assert os.listdir(tmp_path) == ["overhead.md"]
+    page = (tmp_path / "overhead.md").read_text()
+    assert "| 64x64 | default |" in page
+    assert "| 64x64 | uniform |" in page
+    assert "bytes a pixel" in page
