@@ -329,7 +329,7 @@ def test_ctrl_c_finishes_the_batch_and_writes(
     handlers = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
     assert main(["render", "here", "--spp", "9"]) == 130
     err = capsys.readouterr().err
-    assert "interrupted; here.exr holds the 3 samples per pixel until then." in err
+    assert "interrupted. here.exr holds the 3 samples per pixel until then." in err
     assert metadata("here.exr")["done"] == "interrupted"
     assert images.read("here.exr").layers["samples"].sum() == 3 * WIDTH * HEIGHT
     assert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == handlers
@@ -430,6 +430,19 @@ def test_a_checkpoint_of_another_render_is_refused(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+def test_a_checkpoint_of_a_changed_scene_file_is_refused(
+    lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "a.xml").write_text("one")
+    lamp(before=interrupt_at(1))
+    words = ["render", "a.xml", "--spp", "12", "--checkpoint", "state"]
+    assert main(words) == 130
+    (tmp_path / "a.xml").write_text("two")
+    lamp()
+    assert main(words) == 2
+    assert "contents of the scene was" in capsys.readouterr().err
+
+
 def test_a_damaged_checkpoint_is_refused(
     lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -455,9 +468,25 @@ def test_a_renderer_that_fails_leaves_what_was_sampled(
     assert main(["render", "here", "--spp", "9"]) == 1
     err = capsys.readouterr().err
     assert "the device was lost" in err
-    assert "here.exr holds what was sampled before" in err
+    assert "here.exr holds the 3 samples per pixel until then" in err
     assert metadata("here.exr")["done"] == "failed"
     assert images.read("here.exr").layers["samples"].sum() == 3 * WIDTH * HEIGHT
+
+
+def test_a_failed_render_resumes_too(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:
+    def before(calls: int) -> None:
+        if calls == 3:
+            raise RuntimeError("the device was lost")
+
+    words = ["render", "here", "--spp", "9", "--checkpoint", "state"]
+    lamp(before=before)
+    assert main(words) == 1
+    assert "the same command goes on from state" in capsys.readouterr().err
+    lamp()
+    assert main(words) == 0
+    np.testing.assert_array_equal(
+        images.read("here.exr").rgb, render(Lamp(), WIDTH, HEIGHT, Budget(spp=9)).film.mean
+    )
 
 
 def test_a_renderer_that_fails_at_once_leaves_nothing(

@@ -1,6 +1,7 @@
 """``pmc-sampler render``: what can be refused is refused before the first sample."""
 
 import argparse
+import hashlib
 import importlib
 import signal
 import sys
@@ -8,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -46,31 +48,36 @@ def render(options: argparse.Namespace) -> int:
     with progress(f"{options.scene}, {options.method}") as shown:
         try:
             finished = _run(job, shown)
-        except CommandError as error:
-            finished, failure = False, error
         except Exception as error:  # whatever a renderer raises: what was sampled is worth keeping
             text = " ".join(str(error).split()) or type(error).__name__
-            finished, failure = False, CommandError(f"rendering failed: {text}.", status=1)
+            finished, failure = False, CommandError(f"rendering failed: {text.rstrip('.')}.", status=1)
     if not job.sampler.samples:
         raise failure or CommandError(
             "interrupted before the first sample, so no image was written.", INTERRUPTED
         )
-    if not finished and failure is None:
-        job.save()
+    kept = "" if finished else _keep(job)
     ended = job.sampler.done if finished else "interrupted" if failure is None else "failed"
-    summary = output.write(job.sampler, job.radiance, job.seconds, ended)
-    if finished and job.checkpoint is not None:
-        job.checkpoint.remove()
-    report(summary, options.json)
-    if failure is not None:
-        raise CommandError(f"{failure} {output.exr} holds what was sampled before.", status=1) from failure
-    if not finished:
-        again = f"; the same command goes on from {options.checkpoint}" if job.checkpoint else ""
-        raise CommandError(
-            f"interrupted; {output.exr} holds the {job.sampler.spp:.3g} samples per pixel until then{again}.",
-            INTERRUPTED,
-        )
-    return 0
+    report(output.write(job.sampler, job.radiance, job.seconds, ended), options.json)
+    if finished:
+        if job.checkpoint is not None:
+            job.checkpoint.remove()
+        return 0
+    why = "interrupted." if failure is None else str(failure)
+    raise CommandError(
+        f"{why} {output.exr} holds the {job.sampler.spp:.3g} samples per pixel until then{kept}.",
+        INTERRUPTED if failure is None else failure.status,
+    )
+
+
+def _keep(job: Job) -> str:
+    """Save the state of what was not finished, and say what the user can do with it."""
+    if job.checkpoint is None:
+        return ""
+    try:
+        job.save()
+    except CommandError as error:
+        return f"; {str(error).rstrip('.')}"
+    return f"; the same command goes on from {job.checkpoint.path}"
 
 
 def _job(options: argparse.Namespace) -> Job:
@@ -85,6 +92,7 @@ def _job(options: argparse.Namespace) -> Job:
     if options.checkpoint is not None:
         identity = {
             **{name: getattr(options, name) for name in ("scene", "renderer", "sampler", "seed")},
+            "contents of the scene": _contents(options.scene),
             "size": [radiance.width, radiance.height],
             "budget": vars(budget),
             "config": config.to_dict(),
@@ -106,6 +114,11 @@ def _job(options: argparse.Namespace) -> Job:
     except (ValueError, TypeError, MemoryError) as error:
         raise CommandError(str(error)) from error
     return Job(radiance, sampler, checkpoint)
+
+
+def _contents(scene: str) -> str:
+    file = Path(scene)
+    return hashlib.sha256(file.read_bytes()).hexdigest()[:16] if file.is_file() else ""
 
 
 def _run(job: Job, shown: Report) -> bool:
