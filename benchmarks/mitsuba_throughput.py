@@ -117,9 +117,8 @@ def main(arguments: list[str] | None = None) -> int:
     for name, rate in figures["samples_per_second"].items():
         print(f"{name:20s} {rate / 1e6:8.3f} M samples/s")
     for name, ratio in figures["ratio"].items():
-        print(
-            f"{name:40s} {ratio['median']:.3f}  (quartiles {ratio['quartiles'][0]:.3f} to {ratio['quartiles'][1]:.3f})"
-        )
+        low, high = ratio["quartiles"]
+        print(f"{name:40s} {ratio['median']:.3f}  (quartiles {low:.3f} to {high:.3f})")
     for kind, seconds in figures["host_seconds_per_batch"].items():
         print(f"host time per batch, {kind:20s} {seconds * 1e3:.2f} ms")
     if options.output:

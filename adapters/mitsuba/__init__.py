@@ -14,6 +14,9 @@ except ModuleNotFoundError as error:
         name=error.name,
     ) from error
 
+from .integrator import register  # noqa: E402
 from .renderer import MitsubaRenderer  # noqa: E402
+
+register()
 
 __all__ = ["MitsubaRenderer"]

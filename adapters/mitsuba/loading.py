@@ -3,10 +3,11 @@ what will not do."""
 
 from __future__ import annotations
 
+import contextlib
 import inspect
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,9 @@ import mitsuba as mi
 
 from ... import scenes
 
-__all__ = ["integrator_of", "is_scene", "load_scene", "resize", "sensor_of", "takes_mode"]
+__all__ = ["check_film", "filter_of", "integrator_of", "is_scene", "load_scene", "sensor_of", "takes_mode"]
+
+_FILTERS = {"BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian"}
 
 
 def is_scene(value: object) -> bool:
@@ -23,40 +26,34 @@ def is_scene(value: object) -> bool:
     return any(kind.__name__ == "Scene" and kind.__module__.partition(".")[0] == "mitsuba" for kind in kinds)
 
 
-def load_scene(scene: Any) -> Any:
+def load_scene(scene: Any, variant: str, size: tuple[int, int] | None = None) -> Any:
     """The `mi.Scene` meant by a scene, a scene dictionary, an `.xml` file or the name of a built-in scene.
 
+    With `size`, (width, height) in pixels, films get that size before anything is made of them, so that a
+    camera's field of view holds along the axis that the scene names. A `mi.Scene` is returned as it is.
+
     Raises FileNotFoundError for a missing file, OSError for one that cannot be read, ValueError for an
-    unknown name and for content that Mitsuba cannot load, TypeError for anything else.
+    unknown name, for content that Mitsuba cannot load and for a size that is none or meets a film with a
+    crop, TypeError for anything else.
     """
+    if size is not None:
+        _check_size(size)
     if is_scene(scene):
         return scene
+    config = mi.parser.ParserConfig(variant)
     if isinstance(scene, Mapping):
         if scene.get("type") != "scene":
             raise ValueError(f'a scene dictionary has "type": "scene"; this one has {scene.get("type")!r}')
-        return _guarded("the scene dictionary", mi.load_dict, dict(scene))
-    if not isinstance(scene, str | os.PathLike):
-        raise TypeError(
-            "a scene is a mi.Scene, a scene dictionary, an .xml file or a built-in scene's name, "
-            f"not {type(scene).__name__}"
-        )
-    name = os.fspath(scene)
-    if name in scenes.names() or (Path(name).name == name and not Path(name).suffix):
-        return _guarded(name, mi.load_file, str(scenes.path(name)))
-    file = Path(name)
-    if file.suffix.lower() != ".xml":
-        raise ValueError(
-            f"Mitsuba reads scenes from .xml files and {name} is none; the built-in scenes are "
-            f"{', '.join(scenes.names())}"
-        )
-    if not file.exists():
-        raise FileNotFoundError(f"there is no scene file {name}")
-    try:
-        with file.open("rb") as stream:
-            stream.read(1)
-    except OSError as error:
-        raise OSError(f"the scene file {name} cannot be read: {error.strerror}") from error
-    return _guarded(name, mi.load_file, str(file))
+        what = "the scene dictionary"
+        parsed = _guarded(what, mi.parser.parse_dict, config, dict(scene))
+    else:
+        what = str(scene)
+        parsed = _guarded(what, mi.parser.parse_file, config, str(_file(scene)))
+    _guarded(what, mi.parser.transform_all, config, parsed)
+    if size is not None:
+        _resize(parsed, size)
+    with _files_beside(scene):
+        return _guarded(what, mi.parser.instantiate, config, parsed)
 
 
 def sensor_of(scene: Any, sensor: Any) -> Any:
@@ -70,8 +67,8 @@ def sensor_of(scene: Any, sensor: Any) -> Any:
     if isinstance(sensor, int):
         count = len(scene.sensors())
         if not 0 <= sensor < count:
-            has = f"{count} sensors, 0 to {count - 1}" if count > 1 else "one sensor, number 0"
-            raise ValueError(f"the scene has {has}; there is no sensor {sensor}")
+            has = {0: "no sensor", 1: "one sensor, number 0"}.get(count, f"{count} sensors, 0 to {count - 1}")
+            raise ValueError(f"the scene has {has}, so there is no sensor {sensor}")
         sensor = scene.sensors()[sensor]
     film = sensor.film()
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):
@@ -114,45 +111,106 @@ def takes_mode(integrator: Any) -> bool:
         return False
 
 
-def resize(sensor: Any, size: tuple[int, int], ours: bool) -> None:
-    """Gives the sensor's film the size (width, height) in pixels.
-
-    A scene that the caller made is not changed behind his back: `ours` says that this one was loaded here.
-    Raises ValueError for sizes that are none, for a film with a crop, and for a scene of the caller's whose
-    film is of another size.
-    """
-    if len(size) != 2 or any(isinstance(side, bool) or side != int(side) or side < 1 for side in size):
-        raise ValueError(f"a size is (width, height) in whole pixels, at least 1 by 1, not {size!r}")
+def check_film(sensor: Any, size: tuple[int, int]) -> None:
+    """Raises ValueError if the sensor's film is not of the size (width, height) that was asked for."""
     film = sensor.film()
-    if tuple(film.crop_size()) == tuple(size):
-        return
-    if tuple(film.crop_size()) != tuple(film.size()):
+    if tuple(film.crop_size()) != tuple(size):
         raise ValueError(
-            f"the film is cropped to {_by(film.crop_size())} of {_by(film.size())} pixels; "
-            "drop the crop or the size"
+            f"the sensor's film has {_by(film.crop_size())} pixels, not {_by(size)}; a scene that is an "
+            "object, or names no film, keeps its size: change the film there"
         )
-    if not ours:
+
+
+def filter_of(film: Any) -> dict[str, Any]:
+    """The settings of a Config that reproduce a film's reconstruction filter.
+
+    Raises ValueError for a filter with negative lobes, from which no sample can be drawn.
+    """
+    kernel = film.rfilter()
+    name = kernel.class_name()
+    if name not in _FILTERS:
         raise ValueError(
-            f"the scene's film has {_by(film.size())} pixels, not {_by(size)}; a scene given as an object "
-            "keeps its film, so change that, or hand over the file or dictionary"
+            f"the film's reconstruction filter is a {name}, which has negative lobes, and samples are placed "
+            "by drawing from the filter; use box, tent or gaussian"
         )
-    parameters = mi.traverse(sensor)
-    parameters["film.size"] = mi.ScalarVector2u(*size)
-    parameters["film.crop_size"] = mi.ScalarVector2u(*size)
-    parameters.update()
+    return {"filter": _FILTERS[name], "filter_radius": float(kernel.radius())}
+
+
+def _file(scene: Any) -> Path:
+    """The file meant by a path or a built-in scene's name; it can be read."""
+    if not isinstance(scene, str | os.PathLike):
+        raise TypeError(
+            "a scene is a mi.Scene, a scene dictionary, an .xml file or a built-in scene's name, "
+            f"not {type(scene).__name__}"
+        )
+    file = Path(scene)
+    if str(scene) in scenes.names() or (file.name == str(scene) and not file.suffix):
+        return scenes.path(str(scene))
+    if file.suffix.lower() != ".xml":
+        raise ValueError(
+            f"Mitsuba reads scenes from .xml files and {scene} is none; the built-in scenes are "
+            f"{', '.join(scenes.names())}"
+        )
+    if not file.exists():
+        raise FileNotFoundError(f"there is no scene file {scene}")
+    try:
+        with file.open("rb") as stream:
+            stream.read(1)
+    except OSError as error:
+        raise OSError(f"the scene file {scene} cannot be read: {error.strerror}") from error
+    return file
+
+
+@contextlib.contextmanager
+def _files_beside(scene: Any) -> Iterator[None]:
+    """Lets a scene file name meshes and textures relative to where it is, as `mi.load_file` does."""
+    before = mi.file_resolver()
+    if not isinstance(scene, Mapping):
+        resolver = mi.FileResolver(before)
+        resolver.prepend(str(_file(scene).parent))
+        mi.set_file_resolver(resolver)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(before)
+
+
+def _check_size(size: Any) -> None:
+    try:
+        good = len(size) == 2 and all(side == int(side) and side >= 1 for side in size)
+    except (TypeError, ValueError):
+        good = False
+    if not good:
+        raise ValueError(f"a size is (width, height) in whole pixels, at least 1 by 1, not {size!r}")
+
+
+def _resize(parsed: Any, size: tuple[int, int]) -> None:
+    """Gives the films of a parsed scene a size."""
+    for node in parsed.nodes:
+        if node.type == mi.ObjectType.Film:
+            if any(key.startswith("crop_") for key in node.props.keys()):  # noqa: SIM118
+                raise ValueError(
+                    f"the film has a crop window, which a size of {_by(size)} would undo; drop one of them"
+                )
+            node.props["width"], node.props["height"] = (int(side) for side in size)
 
 
 def _by(size: Any) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-def _guarded(what: str, load: Any, argument: Any) -> Any:
-    """`load(argument)`, its failure turned into one sentence."""
+def _guarded(what: str, load: Any, *arguments: Any) -> Any:
+    """`load(*arguments)`, its failure turned into one sentence."""
     try:
-        loaded = load(argument)
+        return load(*arguments)
     except (
         Exception
     ) as error:  # Mitsuba raises RuntimeError, ValueError or nanobind's own, by place of failure
-        reason = re.sub(r"^\[\w+\.cpp:\d+\] ", "", " ".join(str(error).split()))
-        raise ValueError(f"Mitsuba cannot load {what}: {reason}") from error
-    return loaded
+        raise ValueError(f"Mitsuba cannot load {what}: {_reason(error)}") from error
+
+
+def _reason(error: Exception) -> str:
+    """Mitsuba's message on one line, without places in its source and a Python plugin's traceback."""
+    text = " ".join(str(error).split())
+    text = re.sub(r"Traceback \(most recent call last\): .*?(\w+(?:Error|Exception): )", "", text)
+    return re.sub(r"\[\w+\.cpp:\d+\] ", "", text)

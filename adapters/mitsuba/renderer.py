@@ -25,8 +25,8 @@ class MitsubaRenderer:
     a function of its position, `scramble` and `index`, bit for bit, whatever else is in its batch.
 
     Positions are pixels from the top-left corner of the film's crop window, whose size is `width` by
-    `height`. The film's reconstruction filter and alpha play no part: placing samples and averaging them is
-    the sampler's business.
+    `height`. The film's reconstruction filter plays no part here, for it is the sampler that places samples:
+    give its `Config` what `filter` holds. Nor does alpha.
 
     Parameters
     ----------
@@ -80,11 +80,11 @@ class MitsubaRenderer:
             )
         self.variant = variants.check(scene.variant_name()) if given else variants.choose(variant)
         with variants.active(self.variant):
-            self.scene = loading.load_scene(scene)
+            self.scene = loading.load_scene(scene, self.variant, size)
             self.sensor = loading.sensor_of(self.scene, sensor)
             self.integrator = loading.integrator_of(self.scene, integrator)
             if size is not None:
-                loading.resize(self.sensor, size, ours=not given and isinstance(sensor, int))
+                loading.check_film(self.sensor, size)
             self._evaluate = Evaluator(self.variant, sampler, self.scene, self.sensor, self.integrator)
         self.sampler = sampler
         self.aov_names: list[str] = list(self.integrator.aov_names())
@@ -102,6 +102,14 @@ class MitsubaRenderer:
     def aovs(self) -> int:
         """How many channels come after RGB."""
         return len(self.aov_names)
+
+    @property
+    def filter(self) -> dict[str, Any]:
+        """The settings of a `Config` (`filter`, `filter_radius`) for the film's reconstruction filter.
+
+        Raises ValueError for a filter with negative lobes, from which no sample can be drawn.
+        """
+        return loading.filter_of(self.sensor.film())
 
     def __repr__(self) -> str:
         return (

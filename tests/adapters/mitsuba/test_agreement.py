@@ -1,0 +1,104 @@
+"""Images through the adapter against `mi.render`: one mean, by a t-test on the image and its 16x16 tiles over
+16 seeds.
+
+Each test raises a false alarm in about 1 of 10000 cases, were its seeds not fixed; the controls must be told
+from the truth by the same test.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+pytestmark = pytest.mark.needs("mitsuba")
+
+ALPHA = 1e-4
+
+
+def renderer(*arguments: Any, **options: Any) -> Any:
+    from pmc_sampler.adapters.mitsuba import MitsubaRenderer
+
+    return MitsubaRenderer(*arguments, **options)
+
+
+@pytest.mark.parametrize("kind", ["sobol", "independent"])
+def test_cornell_box(agreement: Any, kind: str) -> None:
+    assert agreement(renderer("cornell-box", size=(48, 32), sampler=kind), spp=64) > ALPHA
+
+
+def test_cornell_box_with_mirrors(agreement: Any) -> None:
+    assert agreement(renderer("cornell-box-mirrors", size=(48, 32)), spp=64) > ALPHA
+
+
+def test_other_glass_is_seen(mi: Any, agreement: Any, small_scene: Any) -> None:
+    """Control: a ball of another refractive index."""
+    other = small_scene()
+    other["ball"]["bsdf"]["int_ior"] = 1.2
+    assert agreement(renderer(small_scene()), spp=64) > ALPHA
+    assert agreement(renderer(small_scene()), scene=mi.load_dict(other), spp=64) < ALPHA
+
+
+def test_thin_lens(mi: Any, agreement: Any) -> None:
+    """Control: the lens stopped down. Tiles of 4x4: blur leaves the mean of larger ones as it is."""
+    r = renderer("thin-lens", size=(48, 32))
+    assert agreement(r, tile=4) > ALPHA
+    stopped = renderer("thin-lens", size=(48, 32))
+    parameters = mi.traverse(stopped.sensor)
+    parameters["aperture_radius"] = 0.01
+    parameters.update()
+    assert agreement(r, sensor=stopped.sensor, tile=4) < ALPHA
+
+
+def test_shutter(agreement: Any, small_scene: Any) -> None:
+    assert agreement(renderer(small_scene(sensor={"shutter_open": 1.0, "shutter_close": 2.0}))) > ALPHA
+
+
+def test_orthographic_camera_and_environment(mi: Any, agreement: Any, small_scene: Any) -> None:
+    view = mi.ScalarTransform4f().look_at([1, 1, 3], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 32, "height": 32, "rfilter": {"type": "box"}}
+    sensor = {"type": "orthographic", "to_world": view, "film": film}
+    scene = small_scene(sky={"type": "constant", "radiance": 0.5})
+    scene["sensor"] = sensor
+    assert agreement(renderer(scene)) > ALPHA
+
+
+def test_crop(agreement: Any, small_scene: Any) -> None:
+    crop = {
+        "width": 64,
+        "height": 48,
+        "crop_width": 32,
+        "crop_height": 16,
+        "crop_offset_x": 20,
+        "crop_offset_y": 30,
+    }
+    assert agreement(renderer(small_scene(film=crop))) > ALPHA
+
+
+@pytest.mark.parametrize("integrator", ["direct", "prb"])
+def test_integrators(agreement: Any, small_scene: Any, integrator: str) -> None:
+    assert agreement(renderer(small_scene(), integrator=integrator)) > ALPHA
+
+
+def test_camera_in_a_medium(agreement: Any, small_scene: Any) -> None:
+    medium = {"type": "homogeneous", "albedo": 0.7, "sigma_t": 0.2}
+    scene = small_scene(sensor={"medium": medium}, integrator={"type": "volpath", "max_depth": 6})
+    assert agreement(renderer(scene), spp=16) > ALPHA
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_spectral", "llvm_ad_mono"])
+def test_variants(
+    mi: Any, agreement: Any, small_scene: Any, variant: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The control drops the weight that makes up for the sensor's choice of wavelengths (monochrome has
+    none)."""
+    if variant not in mi.variants():
+        pytest.skip(f"this Mitsuba was built without {variant}")
+    pixel_format = "luminance" if variant.endswith("mono") else "rgb"
+    r = renderer(small_scene(film={"pixel_format": pixel_format}), variant=variant)
+    assert agreement(r, spp=16) > ALPHA
+    if variant == "llvm_ad_spectral":
+        camera = type(r._evaluate._camera)
+        true = camera.__call__
+        monkeypatch.setattr(camera, "__call__", lambda *arguments: (true(*arguments)[0], 1.0))
+        assert agreement(renderer(small_scene(), variant=variant), spp=16) < ALPHA
