@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "batch.hpp"
+#include "film.hpp"
 #include "filter.hpp"
 #include "memory.hpp"
 #include "parallel.hpp"
@@ -53,8 +54,8 @@ public:
     Arranger(const Tiling& tiling, std::uint32_t seed, Filter filter, double filter_radius)
         : tiling_(tiling), keys_(seed), filter_(filter, filter_radius) {}
 
-    // `drawn` counts each pixel's adaptive samples and is advanced.
-    void operator()(const Proposals& proposals, Zeroed<std::uint32_t>& drawn, Batch& batch, ThreadPool& threads) {
+    // Advances film.drawn, and film.beta for what is now under way; `passes` of the pool are drawn.
+    void operator()(const Proposals& proposals, Film& film, float passes, Batch& batch, ThreadPool& threads) {
         const std::size_t n = proposals.size(), tiles = tiling_.tiles();
         const std::size_t first_pass = n - proposals.pass.size();
         // A stable counting sort by tile: one histogram for each chunk of proposals, so that the order is that of the proposals
@@ -95,7 +96,7 @@ public:
         batch.place.resize(batch.iteration_samples);
         threads.ranges(tiles, 4, [&](std::size_t first, std::size_t last) {
             for (std::size_t t = first; t < last; ++t)
-                if (starts_[t] < starts_[t + 1]) arrange_tile(static_cast<std::uint32_t>(t), drawn, batch);
+                if (starts_[t] < starts_[t + 1]) arrange_tile(static_cast<std::uint32_t>(t), film, passes, batch);
         });
     }
 
@@ -105,9 +106,10 @@ private:
         std::uint8_t local, tag;
     };
 
-    void arrange_tile(std::uint32_t tile, Zeroed<std::uint32_t>& drawn, Batch& batch) {
+    void arrange_tile(std::uint32_t tile, Film& film, float passes, Batch& batch) {
         const std::size_t begin = starts_[tile], end = starts_[tile + 1];
         std::uint32_t next[Tiling::area] = {};
+        const std::uint32_t base = tile * Tiling::area, x0 = tiling_.x(base), y0 = tiling_.y(base);
         for (std::size_t i = begin; i < end; ++i) ++next[entries_[i].local];
         std::uint32_t place = static_cast<std::uint32_t>(begin);
         for (std::uint32_t& count : next) {
@@ -115,7 +117,6 @@ private:
             count = place;
             place += c;
         }
-        const std::uint32_t base = tile * Tiling::area, x0 = tiling_.x(base), y0 = tiling_.y(base);
         for (std::size_t i = begin; i < end; ++i) {
             const Entry& e = entries_[i];
             const std::uint32_t p = next[e.local]++;
@@ -123,8 +124,17 @@ private:
             batch.tag[p] = e.tag;
             batch.pixel[p] = (y0 + e.local / Tiling::side) * tiling_.width + x0 + e.local % Tiling::side;
             // The pool visits a pixel once in a pass; the adaptive sequence goes on from its last sample.
-            batch.index[p] = (e.tag & Tag::pool) ? e.pass : drawn[base + e.local]++;
+            batch.index[p] = (e.tag & Tag::pool) ? e.pass : film.drawn[base + e.local]++;
             if (e.proposal - batch.first < batch.iteration_samples) batch.place[e.proposal - batch.first] = p;
+        }
+        if (film.live() && passes > 0.0f) {
+            for (std::size_t i = begin; i < end;) {
+                std::uint32_t more = 0;
+                const std::uint32_t slot = batch.slot[i];
+                for (; i < end && batch.slot[i] == slot; ++i) more += !(batch.tag[i] & Tag::pool);
+                if (more) film.anticipate(slot, more, passes);
+            }
+            film.weigh_tile(tile);
         }
         draw_places(&batch.pixel[begin], &batch.index[begin], &batch.tag[begin], end - begin, keys_, &batch.scramble[begin], &batch.positions[begin]);
         if (filter_.trivial()) {

@@ -132,11 +132,7 @@ NB_MODULE(_core, m) {
                 pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = s.film().sums[slot].n; });
             });
         })
-        .def("pool_mean", [](pmc::Sampler& s) {
-            return image(s.film(), 3, [&](float* o) {
-                pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { std::copy_n(s.film().sums[slot].pool_mean, 3, o + 3 * i); });
-            });
-        })
+        .def("pool_mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::pool_mean(s.film(), s.config, o, s.threads()); }); })
         .def("beta", [](pmc::Sampler& s) {
             return image(s.film(), 1, [&](float* o) {
                 pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = s.film().beta(slot); });
@@ -187,5 +183,5 @@ NB_MODULE(_core, m) {
         static const pmc::TviTable table;
         return table(luminance);
     });
-    m.attr("film_bytes_per_pixel") = sizeof(pmc::PixelSums) + sizeof(std::uint32_t) + sizeof(float);
+    m.attr("film_bytes_per_pixel") = std::size_t(pmc::Film::bytes_per_pixel);
 }

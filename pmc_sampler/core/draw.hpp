@@ -31,7 +31,9 @@ inline bool Sampler::prepare() {
         const SystematicDraw beta(film_, threads_);
         draw_adaptive(*batch, left, beta);
     }
-    arranger_(proposals_, film_.drawn, *batch, threads_);
+    const auto passes = static_cast<float>(static_cast<double>(pool_.cursor()) / static_cast<double>(film_.tiling.slots()));
+    // During the passes that come before all adaptation there is no beta yet.
+    arranger_(proposals_, film_, batch->evaluated.empty() && proposals_.pass.size() == proposals_.size() ? 0.0f : passes, *batch, threads_);
     issued_ += batch->size();
     ++drawn_batches_;
     prepared_.push_back(std::move(batch));

@@ -15,22 +15,26 @@ class Zeroed {
     static_assert(std::is_trivially_copyable_v<T>);
 
 public:
-    explicit Zeroed(std::size_t size) : size_(size), data_(static_cast<T*>(std::calloc(size ? size : 1, sizeof(T)))) {
-        if (!data_) throw std::bad_alloc();
+    explicit Zeroed(std::size_t size) : size_(size), block_(std::calloc(size * sizeof(T) + line, 1)) {
+        if (!block_) throw std::bad_alloc();
+        void* start = block_.get();
+        std::size_t room = size * sizeof(T) + line;
+        data_ = static_cast<T*>(std::align(line, size * sizeof(T), start, room));
     }
-    T& operator[](std::size_t i) { return data_.get()[i]; }
-    const T& operator[](std::size_t i) const { return data_.get()[i]; }
+    T& operator[](std::size_t i) { return data_[i]; }
+    const T& operator[](std::size_t i) const { return data_[i]; }
     std::size_t size() const { return size_; }
-    T* data() { return data_.get(); }
-    const T* data() const { return data_.get(); }
-    std::span<T> span() { return {data_.get(), size_}; }
+    T* data() { return data_; }
+    const T* data() const { return data_; }
 
 private:
+    static constexpr std::size_t line = 64;  // elements of 64 bytes then lie in one cache line each
     struct Free {
-        void operator()(T* p) const { std::free(p); }
+        void operator()(void* p) const { std::free(p); }
     };
     std::size_t size_;
-    std::unique_ptr<T, Free> data_;
+    std::unique_ptr<void, Free> block_;
+    T* data_;
 };
 
 // A growing buffer whose new elements are not initialised: batches are overwritten whole, so zeroing them is wasted time.

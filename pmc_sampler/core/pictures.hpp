@@ -53,12 +53,18 @@ inline void corrected_mean(const Film& film, const Config& config, float* out, T
     for (int c = 0; c < 3; ++c) {
         for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
             const PixelSums& p = film.sums[slot];
-            residual[i] = p.n_pool && spread[i] > 1e-12f ? (p.pool_mean[c] - out[3 * i + c]) / spread[i] : 0.0f;
+            residual[i] = p.n_pool && spread[i] > 1e-12f ? (film.pool_mean[slot][c] - out[3 * i + c]) / spread[i] : 0.0f;
         });
         smooth(residual, threads);
         const auto strength = static_cast<float>(config.correction);
         for (std::size_t i = 0; i < n; ++i) out[3 * i + c] = std::max(0.0f, out[3 * i + c] + strength * weight[i] * residual[i]);
     }
+}
+
+// Mean of the pool's samples alone, unbiased at every count; all samples where all are the pool's.
+inline void pool_mean(const Film& film, const Config& config, float* out, ThreadPool& threads) {
+    if (config.is_uniform()) return plain_mean(film, out, threads);
+    for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) { std::copy_n(film.pool_mean[slot].data(), 3, out + 3 * i); });
 }
 
 // Standard error of the plain mean (3 floats a pixel); infinity where fewer than two samples leave it unknown.
@@ -89,8 +95,9 @@ inline void strategy(const Film& film, float* out, ThreadPool& threads) {
     for (std::size_t s = 0; s < film.sums.size(); ++s) most = std::max(most, film.sums[s].n);
     for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
         const PixelSums& p = film.sums[slot];
-        const double used = double(p.strategy[0]) + p.strategy[1] + p.strategy[2], density = double(p.n) / most;
-        for (int k = 0; k < 3; ++k) out[3 * i + k] = static_cast<float>(density * (used > 0.0 ? p.strategy[k] / used : 1.0 / 3.0));
+        const auto& count = film.strategy[slot];
+        const double used = double(count[0]) + count[1] + count[2], density = double(p.n) / most;
+        for (int k = 0; k < 3; ++k) out[3 * i + k] = static_cast<float>(density * (used > 0.0 ? count[k] / used : 1.0 / 3.0));
     });
 }
 

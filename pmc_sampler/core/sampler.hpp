@@ -33,7 +33,7 @@ public:
     // aovs: channels after RGB that are averaged along. threads: 0 for one on each processor; the image does not depend on it.
     Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& config = {}, std::uint64_t seed = 0,
             std::uint32_t aovs = 0, unsigned threads = 0)
-        : config(checked(config, width, height)), budget(checked(budget)), seed(seed), threads_(threads), film_(width, height, config, aovs),
+        : config(checked(config, width, height)), budget(checked(budget)), seed(seed), threads_(threads), film_(width, height, config, aovs, budget.visible_noise >= 0.0),
           pool_(film_.tiling, key(seed)), memory_(film_.tiling, config.kernels(), config.alpha_memory),
           arranger_(film_.tiling, key(seed), config.filter, config.filter_radius), populations_(std::size_t(config.lookahead) + 1),
           id_(next_id().fetch_add(1)) {

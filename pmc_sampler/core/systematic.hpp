@@ -31,47 +31,60 @@ public:
     // Writes `count` slots, in order; offset in [0, 1). total() must be above 0.
     void operator()(std::size_t count, float offset, std::uint32_t* slots, ThreadPool& threads) const {
         const double step = total() / static_cast<double>(count);
-        const auto index_at = [&](double weight) {  // draws whose place lies below `weight`
+        // Draw i lies where the cumulative weight passes (i + offset) * step.
+        const auto first_at = [&](double weight) {
             const double i = std::ceil(weight / step - offset);
             return i <= 0.0 ? std::size_t(0) : std::min(count, static_cast<std::size_t>(i));
         };
         const std::size_t tiles = film_.tiling.tiles(), blocks = starts_.size() - 1;
         threads.run(blocks, [&](std::size_t b) {
-            std::size_t i = index_at(starts_[b]);
-            const std::size_t block_end = b + 1 == blocks ? count : index_at(starts_[b + 1]);
-            const std::size_t last_tile = std::min(tiles, (b + 1) * block);
-            double weight = starts_[b];
-            std::size_t last_positive = last_slot_with_weight_before(b * block);
-            for (std::size_t t = b * block; t < last_tile && i < block_end; ++t) {
-                const double end = weight + film_.tile_weight[t];
-                if (index_at(end) > i) {
-                    double w = weight;
-                    for (std::size_t s = t * Tiling::area; s < (t + 1) * Tiling::area && i < block_end; ++s) {
-                        const double here = film_.weight(s);
-                        if (here <= 0.0) continue;
-                        w += here;
-                        last_positive = s;
-                        for (const std::size_t until = std::min(block_end, index_at(w)); i < until; ++i) slots[i] = static_cast<std::uint32_t>(s);
-                    }
+            std::size_t i = first_at(starts_[b]);
+            const std::size_t end = b + 1 == blocks ? count : first_at(starts_[b + 1]);
+            double next = (static_cast<double>(i) + offset) * step, weight = starts_[b];
+            std::uint32_t last = 0;  // the last pixel of any weight
+            bool found = false;
+            Film::TileWeights w;
+            const auto draw = [&](std::uint32_t slot) {
+                for (; i < end && next < weight; next = (static_cast<double>(++i) + offset) * step) slots[i] = slot;
+            };
+            for (std::size_t t = b * block; t < std::min(tiles, (b + 1) * block) && i < end; ++t) {
+                if (weight + film_.tile_weight[t] <= next) {  // nothing falls into this tile
+                    weight += film_.tile_weight[t];
+                    continue;
                 }
-                weight = end;
+                film_.weights(static_cast<std::uint32_t>(t), w);
+                for (std::uint32_t r = 0; r < Tiling::side; ++r) {
+                    const double row_end = weight + w.row[r];
+                    if (row_end <= next) {
+                        weight = row_end;
+                        continue;
+                    }
+                    for (std::uint32_t s = r * Tiling::side; s < (r + 1) * Tiling::side; ++s) {
+                        if (!(w.pixel[s] > 0.0f)) continue;
+                        weight += w.pixel[s];
+                        last = static_cast<std::uint32_t>(t) * Tiling::area + s;
+                        found = true;
+                        draw(last);
+                    }
+                    weight = row_end;
+                    if (found) draw(last);
+                }
             }
-            // Rounding may leave a draw between two sums of the same weights: it goes to the last pixel passed.
-            for (; i < block_end; ++i) slots[i] = static_cast<std::uint32_t>(last_positive);
+            // The sums above are rounded: a draw that falls between them goes to the last pixel passed.
+            if (i < end && !found) last = some_slot(b * block);
+            for (; i < end; ++i) slots[i] = last;
         });
     }
 
 private:
-    // Only for the draws that rounding leaves at the very start of a block; any pixel of weight will do.
-    std::size_t last_slot_with_weight_before(std::size_t tile) const {
-        for (std::size_t t = tile; t-- > 0;)
-            if (film_.tile_weight[t] > 0.0)
-                for (std::size_t s = (t + 1) * Tiling::area; s-- > t * Tiling::area;)
-                    if (film_.weight(s) > 0.0f) return s;
-        for (std::size_t t = tile; t < film_.tiling.tiles(); ++t)
-            if (film_.tile_weight[t] > 0.0)
-                for (std::size_t s = t * Tiling::area; s < (t + 1) * Tiling::area; ++s)
-                    if (film_.weight(s) > 0.0f) return s;
+    // A pixel with weight in the first tile from `tile` on that has one, or before it.
+    std::uint32_t some_slot(std::size_t tile) const {
+        const std::size_t tiles = film_.tiling.tiles();
+        for (std::size_t step = 0; step < tiles; ++step) {
+            const std::size_t t = (tile + step) % tiles;
+            for (std::size_t s = t * Tiling::area; film_.tile_weight[t] > 0.0 && s < (t + 1) * Tiling::area; ++s)
+                if (film_.beta(s) > 0.0f) return static_cast<std::uint32_t>(s);
+        }
         return 0;
     }
 
