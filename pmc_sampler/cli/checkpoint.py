@@ -19,7 +19,7 @@ from .errors import CommandError
 
 @dataclass
 class Checkpoint:
-    """Where the state is kept; ``identity`` names what is rendered, ``seconds`` what sessions took."""
+    """Where the state is kept; ``identity`` names what is rendered, ``seconds`` what it has taken."""
 
     path: Path
     identity: Mapping[str, Any]
