@@ -2,6 +2,7 @@
 #pragma once
 
 #include <algorithm>
+#include <bit>
 #include <cstdint>
 #include <vector>
 
@@ -106,6 +107,12 @@ private:
         std::uint8_t local, tag;
     };
 
+    // corner + u, below corner + 1: the sum of two floats may round up to the next pixel, or out of the image.
+    static float inside(std::uint32_t corner, float u) {
+        const float next = static_cast<float>(corner + 1), below = std::bit_cast<float>(std::bit_cast<std::uint32_t>(next) - 1);
+        return std::min(static_cast<float>(corner) + u, below);
+    }
+
     void arrange_tile(std::uint32_t tile, Film& film, float passes, Batch& batch) {
         const std::size_t begin = starts_[tile], end = starts_[tile + 1];
         std::uint32_t next[Tiling::area] = {};
@@ -140,8 +147,8 @@ private:
         if (filter_.trivial()) {
             for (std::size_t p = begin; p < end; ++p) {
                 const std::uint32_t local = batch.slot[p] - base;
-                batch.positions[p].x += static_cast<float>(x0 + local % Tiling::side);
-                batch.positions[p].y += static_cast<float>(y0 + local / Tiling::side);
+                batch.positions[p].x = inside(x0 + local % Tiling::side, batch.positions[p].x);
+                batch.positions[p].y = inside(y0 + local / Tiling::side, batch.positions[p].y);
             }
         } else {
             for (std::size_t p = begin; p < end; ++p) {

@@ -47,7 +47,8 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const Syste
     if (own_share > 0.0) {
         regenerate(batch, share_of(own_share, batch_size()), beta);
         const std::uint64_t own = population_of(batch.number).members.size() * config.moves + batch.evaluated.size();
-        if (config.population) size = std::min(left, static_cast<std::uint64_t>(std::llround(static_cast<double>(own) / own_share)));
+        // A population whose members neither move nor are replaced this time leaves the batch to beta and the pool.
+        if (config.population && own) size = std::min(left, static_cast<std::uint64_t>(std::llround(static_cast<double>(own) / own_share)));
         // The end of the budget may cut an iteration short: then every so many of its proposals are left out.
         batch.iteration_samples = config.population && size < left ? own : std::min(own, share_of(own_share, size));
     }

@@ -51,12 +51,16 @@ public:
     const Budget budget;
     const std::uint64_t seed;
 
-    // The next batch. Up to config.lookahead others may be open; asking beyond that, or for more than the budget, throws.
+    // The next batch. Up to config.lookahead others, from the first that is not told on, may be drawn; asking beyond that, or for
+    // more than the budget, throws.
     std::shared_ptr<const Batch> ask() {
         start_clock();
-        if (open_.size() > config.lookahead)
-            throw std::logic_error("ask: " + std::to_string(open_.size()) + " batches are open and lookahead is " +
-                                   std::to_string(config.lookahead) + ": tell or drop batch " + std::to_string(open_.begin()->first) + " first");
+        if (done_ == Done::visible_noise) throw std::logic_error("ask: the visible noise is within its budget; read the film");
+        // Batches told out of turn wait for the one that is due, and so must this one, which may not be drawn without it.
+        if (prepared_.empty() && drawn_batches_ > told_ + config.lookahead)
+            throw std::logic_error("ask: " + std::to_string(open_.size()) + " batches are open" +
+                                   (waiting_.empty() ? "" : ", " + std::to_string(waiting_.size()) + " told out of turn wait for the first of them,") +
+                                   " and lookahead is " + std::to_string(config.lookahead) + ": tell or drop batch " + std::to_string(told_) + " first");
         if (prepared_.empty()) prepare();
         if (prepared_.empty())
             throw std::logic_error(open_.empty() && waiting_.empty() ? "ask: the budget is spent; read the film, or make a sampler with a larger budget"
