@@ -38,8 +38,9 @@ void Sampler::archive(Archive& a) {
     film_.archive(a);
     memory_.archive(a);
     for (std::size_t i = 0; i < populations_.size(); ++i) populations_[i].archive(a, "population" + std::to_string(i));
-    std::uint64_t cursor = pool_.cursor();
+    std::uint64_t cursor = pool_.cursor(), placement = placement_.cursor();
     a.value("pool.cursor", cursor);
+    a.value("placement.cursor", placement);
     a.value("sampler.issued", issued_);
     a.value("sampler.drawn_batches", drawn_batches_);
     a.value("sampler.told", told_);
@@ -57,6 +58,7 @@ void Sampler::archive(Archive& a) {
     if constexpr (Archive::reading) {
         if (n_untold + n_waiting > 2 * (std::uint64_t(config.lookahead) + 1)) throw std::runtime_error("the checkpoint's number of open batches is damaged");
         pool_.set_cursor(cursor);
+        placement_.set_cursor(placement);
         elapsed_before_ = seconds;
         started_.reset();
         open_.clear();

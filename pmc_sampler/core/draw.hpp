@@ -11,8 +11,11 @@ enum : std::uint32_t { eliminate = 16, place, move, offset };
 }
 
 inline std::uint64_t Sampler::batch_size() const {
-    // A small image takes several samples a pixel at once: below a few thousand samples the cost of a batch is its overhead.
-    return config.batch ? config.batch : std::max<std::uint64_t>(film_.tiling.pixels(), 4096);
+    if (config.batch) return config.batch;
+    // Batches of half a sample a pixel steer sooner than those of one; where nothing steers, larger ones cost a renderer less.
+    // A small image takes several samples a pixel at once: below a few thousand the cost of a batch is its overhead.
+    const bool steers = !config.is_uniform() && issued_ >= initial_;
+    return std::max<std::uint64_t>(film_.tiling.pixels() / (steers ? 2 : 1), 4096);
 }
 
 // Draws the next batch and queues it; false where the budget is spent.
@@ -85,10 +88,15 @@ inline void Sampler::regenerate(Batch& batch, std::uint64_t room, const Systemat
     const Stream place(seed, stream::place, batch.number);
     drawn_slots_.resize(n);
     if (by_beta) beta(by_beta, Stream(seed, stream::offset, batch.number).uniform(0), drawn_slots_.data(), threads_);
-    // Members evaluated where the pool put them are samples of the pool's stream.
-    const std::size_t pool_before = pool_slots_.size();
-    from_pool(by_pool);
-    std::copy(pool_slots_.begin() + static_cast<std::ptrdiff_t>(pool_before), pool_slots_.end(), drawn_slots_.data() + by_beta);
+    // Where all are evaluated, those that the pool placed are samples of the pool's stream.
+    if (evaluated_share >= 1.0) {
+        const auto pool_before = static_cast<std::ptrdiff_t>(pool_slots_.size());
+        from_pool(by_pool);
+        std::copy(pool_slots_.begin() + pool_before, pool_slots_.end(), drawn_slots_.data() + by_beta);
+    } else {
+        std::size_t next = by_beta;
+        placement_.take(by_pool, [&](std::uint32_t slot, std::uint32_t) { drawn_slots_[next++] = slot; });
+    }
     const auto jitter = static_cast<float>(config.regenerate_jitter);
     const float width = static_cast<float>(film_.tiling.width), height = static_cast<float>(film_.tiling.height);
     threads_.ranges(n, 1024, [&](std::size_t first, std::size_t last) {
@@ -103,15 +111,12 @@ inline void Sampler::regenerate(Batch& batch, std::uint64_t room, const Systemat
             population.place(replaced[i], reflect(x, width), reflect(y, height), memory_);
         }
     });
-    if (evaluated_share <= 0.0) {
-        pool_slots_.resize(pool_before);
-        pool_passes_.resize(pool_before);
-    } else if (evaluated_share < 1.0 && by_beta == n) {
+    if (evaluated_share >= 1.0) {
+        batch.evaluated = std::move(replaced);
+    } else if (evaluated_share > 0.0) {
         for (std::size_t i = 0; i < n; ++i)
             if (std::floor(static_cast<double>(i + 1) * evaluated_share) > std::floor(static_cast<double>(i) * evaluated_share))
                 batch.evaluated.push_back(replaced[i]);
-    } else {
-        batch.evaluated = std::move(replaced);
     }
 }
 

@@ -34,7 +34,7 @@ public:
     Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& config = {}, std::uint64_t seed = 0,
             std::uint32_t aovs = 0, unsigned threads = 0)
         : config(checked(config, width, height)), budget(checked(budget)), seed(seed), threads_(threads), film_(width, height, config, aovs, budget.visible_noise >= 0.0),
-          pool_(film_.tiling, key(seed)), memory_(film_.tiling, config.kernels(), config.alpha_memory),
+          pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))), memory_(film_.tiling, config.kernels(), config.alpha_memory),
           arranger_(film_.tiling, key(seed), config.filter, config.filter_radius), populations_(std::size_t(config.lookahead) + 1),
           id_(next_id().fetch_add(1)) {
         const double pixels = static_cast<double>(film_.tiling.pixels());
@@ -219,7 +219,7 @@ private:
 
     ThreadPool threads_;
     Film film_;
-    Pool pool_;
+    Pool pool_, placement_;  // placement_ gives places alone: a pass of pool_ that is not evaluated would leave gaps in its sequence
     AlphaMemory memory_;
     Arranger arranger_;
     std::vector<Population> populations_;  // batch k moves the (k mod (lookahead + 1))-th: the last batch of that one is told
