@@ -4,11 +4,12 @@ sampler.
     python benchmarks/mitsuba_throughput.py [--scene cornell-box] [--size 320x240] [--spp 16] [--rounds 15]
     [-o FILE.json]
 
-Runs are interleaved, for the machine may be shared and its clock may drift: each round renders the same
-number of samples once by every contender, in an order that rotates, and a contender's figure is the median
-over rounds of its rate over that of its opponent in the same round. Mitsuba's low-discrepancy `multijitter`
-is the opponent of our `sobol`, its `independent` that of ours. The first, uncounted round compiles the
-kernels.
+Once with all samples at once, as `mi.render` takes them, and once in the batches of one sample a pixel that
+the sampler draws by default, where neighbouring lanes belong to neighbouring pixels instead of one; Mitsuba's
+own counterpart of that is `mi.render` with one sample a pixel, over and over. Runs are interleaved, for the
+machine may be shared and its clock may drift: in each round every contender renders the same number of
+samples, in an order that rotates, and a ratio is that of one round's rates. The opponent of our `sobol` is
+Mitsuba's low-discrepancy `multijitter`. The first, uncounted round compiles.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,42 +26,32 @@ from typing import Any
 import numpy as np
 from pmc_sampler.adapters.mitsuba import MitsubaRenderer
 
-from pmc_sampler import scenes
+from pmc_sampler import Batch, Budget, Config, Sampler, scenes
 
 Rates = dict[str, list[float]]
 PAIRS = (
-    ("ours sobol", "mi multijitter"),
-    ("ours independent", "mi independent"),
-    ("ours sobol", "ours independent"),
+    ("sobol", "mi multijitter"),
+    ("independent", "mi independent"),
+    ("sobol", "independent"),
+    ("sobol by 1 spp", "mi multijitter by 1 spp"),
+    ("sobol by 1 spp", "mi multijitter"),
 )
 
 
-def batches(width: int, height: int, spp: int, rng: np.random.Generator, tile: int = 16) -> Any:
-    """A batch of `spp` samples in each pixel, tile by tile as the sampler orders its own."""
-    y, x = np.divmod(np.arange(width * height, dtype=np.uint32), width)
-    order = np.lexsort((x, y, x // tile, y // tile))
-    pixel = np.repeat((y * width + x)[order], spp)
-    positions = np.empty((len(pixel), 2), np.float32)
-    positions[:, 0] = pixel % width + rng.random(len(pixel), np.float32) * np.float32(0.999)
-    positions[:, 1] = pixel // width + rng.random(len(pixel), np.float32) * np.float32(0.999)
-    scramble = rng.integers(0, 1 << 32, width * height, np.uint32)
-    index = np.tile(np.arange(spp, dtype=np.uint32), width * height)
-    return SimpleNamespace(positions=positions, pixel=pixel, scramble=scramble[pixel], index=index, number=0)
+def drawn(width: int, height: int, spp: int, per_batch: int) -> list[Batch]:
+    """The batches of a uniform render, as the sampler draws them, with so many samples a pixel in each."""
+    config = Config.uniform(batch=width * height * per_batch)
+    sampler = Sampler(width, height, Budget(spp=spp), config, seed=1)
+    batches = []
+    while not sampler.done:
+        batches.append(sampler.ask())
+        sampler.tell(batches[-1], np.full((len(batches[-1]), 3), 0.5, np.float32))
+    return batches
 
 
 def measure(scene: str, size: tuple[int, int], spp: int, rounds: int) -> tuple[Rates, dict[str, float]]:
-    """Samples per second of each contender in each round, and the host's seconds per batch of either kind of
-    ours."""
-    import mitsuba as mi
-
-    ours = {kind: MitsubaRenderer(scene, sampler=kind, size=size) for kind in ("sobol", "independent")}
-    theirs = {kind: _loaded(mi, scene, size, spp, kind) for kind in ("multijitter", "independent")}
-    given = batches(*size, spp, np.random.default_rng(1))
-    contenders = {f"ours {kind}": (lambda seed, kind=kind: ours[kind](given)) for kind in ours}
-    contenders |= {
-        f"mi {kind}": (lambda seed, kind=kind: np.asarray(mi.render(theirs[kind], spp=spp, seed=seed)))
-        for kind in theirs
-    }
+    """Samples per second of each contender in each round; the host's seconds per batch by kind of sampler."""
+    contenders, hosts = _contenders(scene, size, spp)
     rates: Rates = {name: [] for name in contenders}
     for turn in range(rounds + 1):
         names = list(contenders)
@@ -67,8 +59,54 @@ def measure(scene: str, size: tuple[int, int], spp: int, rounds: int) -> tuple[R
             start = time.perf_counter()
             contenders[name](turn)
             if turn:
-                rates[name].append(len(given.index) / (time.perf_counter() - start))
-    return rates, {kind: _host_seconds(renderer, given) for kind, renderer in ours.items()}
+                rates[name].append(size[0] * size[1] * spp / (time.perf_counter() - start))
+    return rates, {kind: float(np.median([host() for _ in range(50)])) for kind, host in hosts.items()}
+
+
+def _contenders(
+    scene: str, size: tuple[int, int], spp: int
+) -> tuple[dict[str, Callable[[int], Any]], dict[str, Callable[[], float]]]:
+    """By name, what renders all samples, given the round; by kind of sampler, what times a batch of two
+    samples."""
+    import mitsuba as mi
+
+    ours = {kind: MitsubaRenderer(scene, sampler=kind, size=size) for kind in ("sobol", "independent")}
+    at_once, by_one = drawn(*size, spp, spp), drawn(*size, spp, 1)
+
+    def with_ours(kind: str, batches: list[Batch]) -> Callable[[int], Any]:
+        return lambda turn: [ours[kind](batch) for batch in batches]
+
+    def with_mitsuba(kind: str, passes: int) -> Callable[[int], Any]:
+        loaded = _loaded(mi, scene, size, spp // passes, kind)
+
+        def render(turn: int) -> None:
+            for k in range(passes):
+                np.asarray(mi.render(loaded, spp=spp // passes, seed=turn * passes + k))
+
+        return render
+
+    def host(kind: str) -> Callable[[], float]:
+        first = by_one[0]
+        little = SimpleNamespace(
+            positions=first.positions[:2], scramble=first.scramble[:2], index=first.index[:2]
+        )
+
+        def seconds() -> float:
+            start = time.perf_counter()
+            ours[kind](little)
+            return time.perf_counter() - start
+
+        return seconds
+
+    contenders = {
+        "sobol": with_ours("sobol", at_once),
+        "independent": with_ours("independent", at_once),
+        "sobol by 1 spp": with_ours("sobol", by_one),
+        "mi multijitter": with_mitsuba("multijitter", 1),
+        "mi independent": with_mitsuba("independent", 1),
+        "mi multijitter by 1 spp": with_mitsuba("multijitter", spp),
+    }
+    return contenders, {kind: host(kind) for kind in ours}
 
 
 def _loaded(mi: Any, scene: str, size: tuple[int, int], spp: int, sampler: str) -> Any:
@@ -76,16 +114,6 @@ def _loaded(mi: Any, scene: str, size: tuple[int, int], spp: int, sampler: str) 
     text = scenes.path(scene).read_text(encoding="utf-8")
     changed = text.replace('<sampler type="independent">', f'<sampler type="{sampler}">')
     return mi.load_string(changed, width=str(size[0]), height=str(size[1]), spp=str(spp))
-
-
-def _host_seconds(renderer: MitsubaRenderer, given: Any) -> float:
-    little = SimpleNamespace(**{key: value[:2] for key, value in vars(given).items() if key != "number"})
-    times = []
-    for _ in range(50):
-        start = time.perf_counter()
-        renderer(little)
-        times.append(time.perf_counter() - start)
-    return float(np.median(times))
 
 
 def _report(rates: Rates, host: dict[str, float]) -> dict[str, Any]:
@@ -115,10 +143,10 @@ def main(arguments: list[str] | None = None) -> int:
     figures = _report(*measure(options.scene, (width, height), options.spp, options.rounds))
     figures = {"command": "python " + " ".join(sys.argv), **figures}
     for name, rate in figures["samples_per_second"].items():
-        print(f"{name:20s} {rate / 1e6:8.3f} M samples/s")
+        print(f"{name:26s} {rate / 1e6:8.3f} M samples/s")
     for name, ratio in figures["ratio"].items():
         low, high = ratio["quartiles"]
-        print(f"{name:40s} {ratio['median']:.3f}  (quartiles {low:.3f} to {high:.3f})")
+        print(f"{name:44s} {ratio['median']:.3f}  (quartiles {low:.3f} to {high:.3f})")
     for kind, seconds in figures["host_seconds_per_batch"].items():
         print(f"host time per batch, {kind:20s} {seconds * 1e3:.2f} ms")
     if options.output:
