@@ -11,7 +11,18 @@ from pmc_sampler.perception import luminance, tvi
 from pmc_sampler.sampler import Batch, Result, Sampler, render
 
 __version__ = "0.1.0"
-__all__ = ["Batch", "Budget", "Config", "Film", "Result", "Sampler", "include_dir", "luminance", "render", "tvi"]
+__all__ = [
+    "Batch",
+    "Budget",
+    "Config",
+    "Film",
+    "Result",
+    "Sampler",
+    "include_dir",
+    "luminance",
+    "render",
+    "tvi",
+]
 
 
 def include_dir() -> str:

@@ -42,7 +42,7 @@ def read(path: Path) -> tuple[dict[str, Any], Blocks]:
     if not path.is_file():
         raise FileNotFoundError(f"no checkpoint at {str(path)!r}")
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             blocks = {name: archive[name] for name in archive.files}
         header = json.loads(blocks.pop("header").tobytes())
         if header.get("format") != FORMAT:
@@ -53,6 +53,7 @@ def read(path: Path) -> tuple[dict[str, Any], Blocks]:
         raise ValueError(f"{str(path)!r} is no whole pmc_sampler checkpoint: {error}") from error
     if header.get("version") != VERSION:
         raise ValueError(
-            f"{str(path)!r} is a checkpoint of version {header.get('version')}: this version of pmc_sampler reads {VERSION}"
+            f"{str(path)!r} is a checkpoint of version {header.get('version')}: "
+            f"this version of pmc_sampler reads {VERSION}"
         )
     return header, blocks

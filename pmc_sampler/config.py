@@ -19,30 +19,39 @@ class Config:
     """How the sampler chooses pixels and what image it makes of the samples. Checked on construction.
 
     The batch
-        batch: samples in a batch; None: one for each pixel (4096 at least). Where `population` is given, that sets the size.
-        initial_spp: samples a pixel from the stratified pool before anything adapts; None: an eighth of the budget, held
+        batch: samples in a batch; None: one for every second pixel once it adapts (one for each before that; 4096 at
+            least). Where `population` is given, that sets the size.
+        initial_spp: samples a pixel from the stratified pool before anything adapts; None: an eighth of the budget,
+            held
             to 4 to 16.
         pool_share: share of each batch from the stratified pool, in [0, 1]; 1 is uniform sampling.
         direct_share: share of the rest drawn from `beta` and evaluated where drawn, outside the population, in [0, 1].
-        lookahead: batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]; so many batches may be open
+        lookahead: batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]; so many batches may
+            be open
             besides the one asked for, and as many more populations take turns.
 
     The population (paper, 4.1 and 4.3)
         population: members n, at most the pixels of the image; None: what fills the batch.
         moves: T_R, kernel moves of a member in each iteration, in [0, 1024] (Figure 2).
-        radii: d_k, radii of the kernel's disks in pixels, one to three (Eq. 4).
+        radii: d_k, radii of the kernel's disks in pixels, one to three (Eq. 4); None: 0.5, 1.5 and 4, or the larger
+            side of
+            the image where that is less.
         eliminate: share of the members replaced in each iteration by var / N_used, in [0, 1] (4.3.1).
-        regenerate_pool: share of the replacements placed by the pool; the others are drawn from `beta`, in [0, 1] (4.3.2).
-        regenerate_jitter: pixels by which a member regenerated from `beta` is moved at most in x and in y, in [0, 64] (4.3.2).
+        regenerate_pool: share of the replacements placed by the pool; the others are drawn from `beta`, in [0, 1]
+            (4.3.2).
+        regenerate_jitter: pixels by which a member regenerated from `beta` is moved at most in x and in y, in [0,
+            64] (4.3.2).
         evaluate_regenerated: whether a regenerated member is evaluated before it moves (4.1, last paragraph).
 
     Adaptation (paper, 4.3.3)
         adapt_alpha_every: iterations between adaptations of the members' kernel weights alpha, at least 1.
         adapt_beta_every: iterations between adaptations of `beta`, at least 1.
         alpha_floor: epsilon in alpha_k = epsilon / K + (1 - epsilon) share_k, the share of 1 / var_k; in [0, 1].
-        alpha_memory: how far the alpha remembered at a place moves to that of a member there, in [0, 1]; a regenerated member
+        alpha_memory: how far the alpha remembered at a place moves to that of a member there, in [0, 1]; a
+            regenerated member
             starts from what is remembered. 0 remembers nothing.
-        beta: "gain": var / (tvi(I)^2 n^2), the squared perceptual error that one more sample removes, with var the variance
+        beta: "gain": var / (tvi(I)^2 n^2), the squared perceptual error that one more sample removes, with var the
+            variance
             of a pixel's n samples of luminance and I their mean; "variance": var / tvi(I), the paper's (4.3.2).
         beta_power: pixels are drawn in proportion to beta to this power, in [0.25, 2].
 
@@ -61,12 +70,12 @@ class Config:
     batch: int | None = None
     initial_spp: float | None = None
     pool_share: float = 0.15
-    direct_share: float = 0.0
+    direct_share: float = 0.6
     lookahead: int = 1
     population: int | None = None
-    moves: int = 1
-    radii: tuple[float, ...] = (1.0, 3.0)
-    eliminate: float = 1.0
+    moves: int = 2
+    radii: tuple[float, ...] | None = None
+    eliminate: float = 0.6
     regenerate_pool: float = 0.0
     regenerate_jitter: float = 0.0
     evaluate_regenerated: bool = True
@@ -89,10 +98,15 @@ class Config:
         self._native().check()
 
     @classmethod
-    def paper(cls, **changes: Any) -> Config:
-        """The paper's parameters (its section 5), for its first scene; the plain mean, and one population at a time."""
+    def paper(cls, width: int = 640, height: int = 480, **changes: Any) -> Config:
+        """The paper's parameters for its first scene (its section 5): the plain mean, one population at a time.
+
+        width, height: of the image, in pixels. The paper's is 640x480; for another the population of 5000 is scaled
+        by the
+        number of pixels, so that a run of as many samples a pixel takes as many iterations and adapts as often.
+        """
         settings: dict[str, Any] = {
-            "population": 5000,
+            "population": max(1, round(5000 * width * height / (640 * 480))),
             "moves": 16,
             "radii": (5.0, 10.0, 50.0),
             "eliminate": 0.4,
@@ -105,6 +119,7 @@ class Config:
             "beta_power": 1.0,
             "initial_spp": 0.0,
             "pool_share": 0.0,
+            "direct_share": 0.0,
             "lookahead": 0,
             "correction": 0.0,
         }
@@ -131,7 +146,7 @@ class Config:
 
     def to_dict(self) -> dict[str, Any]:
         """Every setting, as from_dict takes them."""
-        return {**dataclasses.asdict(self), "radii": list(self.radii)}
+        return {**dataclasses.asdict(self), "radii": None if self.radii is None else list(self.radii)}
 
     def _native(self) -> _core.Config:
         native = _core.Config()
@@ -140,7 +155,9 @@ class Config:
             if field.name in _ENUMS:
                 value = _ENUMS[field.name][value]
             elif value is None:
-                value = {"initial_spp": -1.0, "filter_radius": _FILTER_RADIUS[self.filter]}.get(field.name, 0)
+                value = {"initial_spp": -1.0, "filter_radius": _FILTER_RADIUS[self.filter], "radii": ()}.get(
+                    field.name, 0
+                )
             setattr(native, field.name, list(value) if field.name == "radii" else value)
         return native
 
@@ -164,7 +181,9 @@ class Budget:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value is not None:
-                object.__setattr__(self, field.name, _number(f"budget {field.name}", value, allow_infinity=False))
+                object.__setattr__(
+                    self, field.name, _number(f"budget {field.name}", value, allow_infinity=False)
+                )
         self._native().check()
 
     def _native(self) -> _core.Budget:
@@ -215,7 +234,10 @@ def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
     if name == "radii":
         if isinstance(value, str) or not hasattr(value, "__iter__"):
             raise TypeError(f"radii is {value!r}: expected one to three numbers of pixels")
-        return tuple(_number("radii", radius) for radius in value)
+        radii = tuple(_number("radii", radius) for radius in value)
+        if not radii:
+            raise ValueError("radii holds no values: expected 1 to 3 radii in pixels, or None")
+        return radii
     if kind == "bool":
         if not isinstance(value, bool):
             raise TypeError(f"{name} is {value!r}: expected True or False")

@@ -13,7 +13,8 @@ FloatImage = npt.NDArray[np.float32]
 class Film:
     """The film of a sampler: every picture is computed from its sums when it is read, and is the caller's to keep.
 
-    Arrays are (height, width, 3) float32 linear RGB in the renderer's radiance units unless said otherwise; row 0 is the top.
+    Arrays are (height, width, 3) float32 linear RGB in the renderer's radiance units unless said otherwise; row 0 is
+    the top.
     """
 
     def __init__(self, native: _core.Sampler) -> None:
@@ -21,9 +22,11 @@ class Film:
 
     @property
     def mean(self) -> FloatImage:
-        """The image: the plain mean with the energy correction, whose sum over the image is that of the pool's unbiased mean.
+        """The image: the plain mean with the energy correction, whose sum over the image is that of the pool's
+        unbiased mean.
 
-        With P the plain mean, U the mean of the stratified pool's samples, w a weight that falls to 0 in black pixels and B a
+        With P the plain mean, U the mean of the stratified pool's samples, w a weight that falls to 0 in black
+        pixels and B a
         symmetric smoother:  P + w B((U - P) / B(w)).  `Config.correction` is its strength.
         """
         return self._native.mean()
@@ -52,7 +55,8 @@ class Film:
     def strategy(self) -> FloatImage:
         """The paper's strategy image (its Figure 3), in [0, 1].
 
-        Red, green and blue are how often the kernel's first, second and third radius proposed the pixel's samples, grey where
+        Red, green and blue are how often the kernel's first, second and third radius proposed the pixel's samples,
+        grey where
         none did; the brightness is the pixel's sample count over the largest in the image.
         """
         return self._native.strategy()

@@ -21,12 +21,14 @@ _DONE = (None, "spp", "seconds", "visible_noise")
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Positions for a renderer, ordered so that neighbours in the image are neighbours in the batch. Arrays are read-only.
+    """Positions for a renderer, ordered so that neighbours in the image are neighbours in the batch. Arrays are
+    read-only.
 
     positions: (n, 2) float32, pixels, x right, y down, origin the image's top-left corner.
     pixel: (n,) uint32, y * width + x of the pixel that the sample counts for.
     index: (n,) uint32, the sample's place in its pixel's low-discrepancy sequence.
-    scramble: (n,) uint32, that sequence's scramble, a hash of seed, pixel and stream (pool or adaptive). The position took
+    scramble: (n,) uint32, that sequence's scramble, a hash of seed, pixel and stream (pool or adaptive). The
+        position took
         dimensions 0 and 1 of Owen-scrambled Sobol points; a renderer goes on from dimension 2.
     number: the batch's number, from 0.
     """
@@ -67,7 +69,8 @@ class Sampler:
     """Population Monte Carlo sampling of the image plane (Lai and Dyer 2007), by ask and tell.
 
     width, height: pixels, 1 to 65535 each. seed: 0 to 2^64 - 1. aovs: channels after RGB that are averaged along.
-    threads: of the sampler's own work; None for one on each processor. The image depends on none of threads, timing or the order in
+    threads: of the sampler's own work; None for one on each processor. The image depends on none of threads, timing
+        or the order in
     which batches come back, but on (radiance, config, seed, budget in samples) alone.
 
     Raises ValueError or TypeError with a sentence that says what came and what was expected.
@@ -107,7 +110,8 @@ class Sampler:
         except MemoryError:
             need = self.width * self.height * _core.film_bytes_per_pixel / 2**30
             raise MemoryError(
-                f"an image of {self.width}x{self.height} needs {need:.1f} GiB of film, more than there is: choose a smaller image"
+                f"an image of {self.width}x{self.height} needs {need:.1f} GiB of film, more than there is: "
+                "choose a smaller image"
             ) from None
         self.film = Film(self._native)
 
@@ -122,17 +126,23 @@ class Sampler:
     def tell(self, batch: Batch, radiance: npt.ArrayLike) -> None:
         """The radiance of a batch: (n, 3 + aovs) floats, linear RGB first, in the batch's order.
 
-        Samples that are not finite or negative do not enter the film; they are counted in `rejected`. Raises ValueError or
-        TypeError, and leaves the sampler as it was, for a wrong shape or type, a batch told or dropped before or drawn by
+        Samples that are not finite or negative do not enter the film; they are counted in `rejected`. Raises
+        ValueError or
+        TypeError, and leaves the sampler as it was, for a wrong shape or type, a batch told or dropped before or
+        drawn by
         another sampler, and where more than half of the samples are invalid.
         """
         native = _native_batch(batch)
         array = np.asarray(radiance)
         expected = (len(batch), 3 + self.aovs)
         if array.shape != expected:
-            raise ValueError(f"tell: got radiance of shape {array.shape} for batch {batch.number}, expected {expected}")
+            raise ValueError(
+                f"tell: got radiance of shape {array.shape} for batch {batch.number}, expected {expected}"
+            )
         if array.dtype.kind != "f":
-            raise TypeError(f"tell: got radiance of type {array.dtype} for batch {batch.number}, expected float32")
+            raise TypeError(
+                f"tell: got radiance of type {array.dtype} for batch {batch.number}, expected float32"
+            )
         with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite and is counted as such
             self._native.tell(native, np.ascontiguousarray(array, dtype=np.float32))
 
@@ -187,9 +197,9 @@ class Sampler:
     def run(self, radiance: Radiance, progress: Progress | None = None) -> Result:
         """Asks and tells until the budget is met; `progress(sampler)` is called after each batch.
 
-        radiance: called with a Batch where it has an attribute `takes_batch` that is true, or its first parameter is named
-        `batch` or annotated `Batch`; else with positions, (n, 2) float32. Where it raises, the batch is put back, so that what
-        was told is kept and `run` can be called again.
+        radiance: called with a Batch where it has an attribute `takes_batch` that is true, or its first parameter is
+            named `batch` or annotated `Batch`; else with positions, (n, 2) float32. Where it raises, the batch is
+            put back, so that what was told is kept and `run` can be called again.
         """
         wants_batch = _takes_batch(radiance)
         start = time.perf_counter()
@@ -211,7 +221,9 @@ class Sampler:
             if progress is not None:
                 progress(self)
         seconds = {"total": time.perf_counter() - start, "renderer": in_renderer, "sampler": in_sampler}
-        return Result(self.film, self.samples, self.spp, self.rejected, self.visible_noise, seconds, self.done)
+        return Result(
+            self.film, self.samples, self.spp, self.rejected, self.visible_noise, seconds, self.done
+        )
 
     def save(self, path: str | Path) -> None:
         """Writes everything that the batches to come depend on to one file, beside and then renamed."""
@@ -270,7 +282,9 @@ def _takes_batch(radiance: Radiance) -> bool:
         parameters = list(inspect.signature(radiance).parameters.values())
     except (TypeError, ValueError):  # builtins without a signature
         return False
-    return bool(parameters) and (parameters[0].name == "batch" or parameters[0].annotation in (Batch, "Batch"))
+    return bool(parameters) and (
+        parameters[0].name == "batch" or parameters[0].annotation in (Batch, "Batch")
+    )
 
 
 def _native_batch(batch: Batch) -> _core.Batch:

@@ -2,7 +2,7 @@
 // "Population Monte Carlo Path Tracing", University of Wisconsin-Madison CS TR 1614, 2007.
 #pragma once
 
-#include <array>
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <limits>
@@ -28,17 +28,17 @@ struct Config {
     static constexpr double automatic = -1.0;  // of initial_spp: an eighth of the budget, 4 to 16
 
     // The batch
-    std::uint64_t batch = 0;        // samples in a batch; 0: one for each pixel. Ignored where `population` sets the size
+    std::uint64_t batch = 0;        // samples in a batch; 0: see Sampler::batch_size(). Ignored where `population` sets the size
     double initial_spp = automatic; // samples a pixel from the pool before anything adapts
     double pool_share = 0.15;       // share of each batch from the stratified pool, in [0, 1]
-    double direct_share = 0.0;      // share of the rest drawn from beta and evaluated where drawn, in [0, 1]
+    double direct_share = 0.6;      // share of the rest drawn from beta and evaluated where drawn, in [0, 1]
     std::uint32_t lookahead = 1;    // batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]
 
     // The population (sections 4.1 and 4.3)
     std::uint32_t population = 0;         // members n; 0: what fills the batch
-    std::uint32_t moves = 1;              // T_R: kernel moves of a member in each iteration, in [0, 1024]
-    std::vector<double> radii = {1, 3};   // d_k: radii of the kernel's disks in pixels, 1 to 3 of them, above 0
-    double eliminate = 1.0;               // share of the members replaced in each iteration, in [0, 1]
+    std::uint32_t moves = 2;              // T_R: kernel moves of a member in each iteration, in [0, 1024]
+    std::vector<double> radii;            // d_k: radii of the kernel's disks in pixels, 1 to 3 of them, above 0; none: 0.5, 1.5, 4
+    double eliminate = 0.6;               // share of the members replaced in each iteration, in [0, 1]
     double regenerate_pool = 0.0;         // share of the regenerated members placed by the pool, in [0, 1]
     double regenerate_jitter = 0.0;       // regenerated from beta, a member moves up to this far in x and y; pixels, in [0, 64]
     bool evaluate_regenerated = true;     // a regenerated member is evaluated before it moves
@@ -60,6 +60,15 @@ struct Config {
     double correction_knee = 0.05;        // luminance, as a share of its surroundings', where it is half applied; in (0, 1]
 
     std::uint32_t kernels() const { return static_cast<std::uint32_t>(radii.size()); }
+
+    // Checked for an image, and what was left to the sampler filled in. Throws as check() does.
+    Config resolved(std::uint32_t width, std::uint32_t height) const {
+        check(width, height);
+        Config config = *this;
+        if (radii.empty())
+            for (double radius : {0.5, 1.5, 4.0}) config.radii.push_back(std::min(radius, static_cast<double>(std::max(width, height))));
+        return config;
+    }
     bool is_uniform() const { return pool_share == 1.0; }
 
     // Throws std::invalid_argument with a sentence that names the setting, what came and what was expected.
@@ -69,8 +78,7 @@ struct Config {
         in_range("direct_share", direct_share, 0.0, 1.0);
         in_range("lookahead", lookahead, 0, 64);
         in_range("moves", moves, 0, 1024);
-        if (radii.empty() || radii.size() > max_kernels)
-            fail("radii", std::to_string(radii.size()) + " values", "1 to 3 radii in pixels");
+        if (radii.size() > max_kernels) fail("radii", std::to_string(radii.size()) + " values", "1 to 3 radii in pixels");
         for (double radius : radii)
             if (!(radius > 0.0 && radius <= 65536.0)) fail("radii", number(radius), "pixels above 0 and at most 65536");
         in_range("eliminate", eliminate, 0.0, 1.0);

@@ -31,12 +31,12 @@ enum class Done : std::uint8_t { no, spp, seconds, visible_noise };
 class Sampler {
 public:
     // aovs: channels after RGB that are averaged along. threads: 0 for one on each processor; the image does not depend on it.
-    Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& config = {}, std::uint64_t seed = 0,
+    Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& settings = {}, std::uint64_t seed = 0,
             std::uint32_t aovs = 0, unsigned threads = 0)
-        : config(checked(config, width, height)), budget(checked(budget)), seed(seed), threads_(threads), film_(width, height, config, aovs, budget.visible_noise >= 0.0),
-          pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))), memory_(film_.tiling, config.kernels(), config.alpha_memory),
-          arranger_(film_.tiling, key(seed), config.filter, config.filter_radius), populations_(std::size_t(config.lookahead) + 1),
-          id_(next_id().fetch_add(1)) {
+        : config(settings.resolved(width, height)), budget(checked(budget)), seed(seed), threads_(threads),
+          film_(width, height, config, aovs, budget.visible_noise >= 0.0), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
+          memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, key(seed), config.filter, config.filter_radius),
+          populations_(std::size_t(config.lookahead) + 1), id_(next_id().fetch_add(1)) {
         const double pixels = static_cast<double>(film_.tiling.pixels());
         total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
         double initial = config.initial_spp;
@@ -141,10 +141,6 @@ private:
         std::optional<std::vector<float>> radiance;  // none: dropped
     };
 
-    static const Config& checked(const Config& config, std::uint32_t width, std::uint32_t height) {
-        config.check(width, height);
-        return config;
-    }
     static const Budget& checked(const Budget& budget) {
         budget.check();
         return budget;
