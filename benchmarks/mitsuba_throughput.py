@@ -87,9 +87,7 @@ def _contenders(
 
     def host(kind: str) -> Callable[[], float]:
         first = by_one[0]
-        little = SimpleNamespace(
-            positions=first.positions[:2], scramble=first.scramble[:2], index=first.index[:2]
-        )
+        little = SimpleNamespace(positions=first.positions[:2], scramble=first.scramble[:2], index=first.index[:2])
 
         def seconds() -> float:
             start = time.perf_counter()

@@ -138,9 +138,7 @@ def share_of_render(renderer: str, repeats: int) -> str:
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="DIR", help="folder of overhead.md"
-    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder of overhead.md")
     parser.add_argument("--sizes", nargs="+", type=size, default=SIZES, metavar="WxH")
     parser.add_argument("--spp", type=int, default=16)
     parser.add_argument("--threads", type=int, default=2)

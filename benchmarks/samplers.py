@@ -54,12 +54,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument(
-        "-o", "--output", type=Path, required=True, metavar="DIR", help="folder of the results"
-    )
-    parser.add_argument(
-        "--cache", type=Path, metavar="DIR", help="folder of the references; default: the user's cache"
-    )
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder of the results")
+    parser.add_argument("--cache", type=Path, metavar="DIR", help="folder of the references; default: the user's cache")
     parser.add_argument("--renderer", default="mitsuba", choices=adapters.names())
     parser.add_argument("--scenes", nargs="+", default=SCENES, choices=scenes.names(), metavar="NAME")
     parser.add_argument("--size", type=size, default=(320, 240), metavar="WxH")

@@ -26,21 +26,21 @@ Log = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Method:
-    """A way to spend samples: a name for the table, the sampler's settings, the renderer's random numbers."""
+    """A way to spend samples: a name for the table, settings for a width and height, random numbers."""
 
     name: str
-    config: Config
+    config: Callable[[int, int], Config]
     sampler: str
 
 
-BASELINE = Method("PT, independent", Config.uniform(), "independent")
-STRATIFIED = Method("PT, Sobol", Config.uniform(), "sobol")
+BASELINE = Method("PT, independent", lambda w, h: Config.uniform(), "independent")
+STRATIFIED = Method("PT, Sobol", lambda w, h: Config.uniform(), "sobol")
 METHODS = (
     BASELINE,
     STRATIFIED,
-    Method("paper, independent", Config.paper(), "independent"),
-    Method("paper, Sobol", Config.paper(), "sobol"),
-    Method("default, Sobol", Config(), "sobol"),
+    Method("paper, independent", Config.paper, "independent"),
+    Method("paper, Sobol", Config.paper, "sobol"),
+    Method("default, Sobol", lambda w, h: Config(), "sobol"),
 )
 
 
@@ -115,9 +115,7 @@ def run(
                 reference = reference or _reference(plan, scene, load, cache, log)
                 if method.sampler not in renderers:
                     renderers[method.sampler] = load(scene, method.sampler)
-                    render(
-                        renderers[method.sampler], plan.width, plan.height, Budget(spp=1), Config.uniform()
-                    )
+                    render(renderers[method.sampler], plan.width, plan.height, Budget(spp=1), Config.uniform())
                 found = identity | _measure(plan, method, seed, renderers[method.sampler], reference)
                 rows.append(found)
                 log(
@@ -171,7 +169,7 @@ def _identity(plan: Plan, scene: str, method: Method, seed: int) -> dict[str, An
         **_settings(plan, scene),
         "method": method.name,
         "sampler": method.sampler,
-        "config": method.config.to_dict(),
+        "config": method.config(plan.width, plan.height).to_dict(),
         "width": plan.width,
         "height": plan.height,
         "spp": plan.spp,
@@ -182,12 +180,11 @@ def _identity(plan: Plan, scene: str, method: Method, seed: int) -> dict[str, An
     return {"id": key(identity), **identity}
 
 
-def _measure(
-    plan: Plan, method: Method, seed: int, renderer: Renderer, reference: Reference
-) -> dict[str, Any]:
-    result = render(renderer, plan.width, plan.height, Budget(spp=plan.spp), method.config, seed=seed)
+def _measure(plan: Plan, method: Method, seed: int, renderer: Renderer, reference: Reference) -> dict[str, Any]:
+    config = method.config(plan.width, plan.height)
+    result = render(renderer, plan.width, plan.height, Budget(spp=plan.spp), config, seed=seed)
     image, r = result.film.mean, reference.mean
-    white = method.config.white_luminance
+    white = config.white_luminance
     return {
         "samples": result.samples,
         "rejected": result.rejected,

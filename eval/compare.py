@@ -41,9 +41,7 @@ def compare(
     return list(_measures(test, reference, white_luminance, exposure, pixels_per_degree))
 
 
-def _measures(
-    test: ArrayLike, reference: ArrayLike, white: float, exposure: float, ppd: float
-) -> Iterator[Measure]:
+def _measures(test: ArrayLike, reference: ArrayLike, white: float, exposure: float, ppd: float) -> Iterator[Measure]:
     cd = {"white_luminance_cd_m2": white}
     yield Measure("tvi error", metrics.tvi_error(test, reference, white_luminance=white), "thresholds^2", cd)
     yield Measure(
@@ -61,9 +59,7 @@ def _measures(
             "SSIM", metrics.ssim(test, reference, exposure=exposure), "", {"exposure": exposure, "sigma": 1.5}
         )
     yield Measure("relMSE", metrics.relmse(test, reference), "", {"epsilon": 0.01})
-    yield Measure(
-        "relMSE, trimmed", metrics.relmse(test, reference, trim=0.001), "", {"epsilon": 0.01, "trim": 0.001}
-    )
+    yield Measure("relMSE, trimmed", metrics.relmse(test, reference, trim=0.001), "", {"epsilon": 0.01, "trim": 0.001})
     yield Measure("SMAPE", metrics.smape(test, reference), "", {"epsilon": 0.01})
     if not np.max(np.asarray(reference)) > 0.0:
         return

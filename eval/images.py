@@ -39,8 +39,7 @@ def require() -> ModuleType:
         import OpenImageIO
     except ImportError as error:
         raise ImageError(
-            f"image files need OpenImageIO, which cannot be imported ({error}): "
-            "pip install 'pmc-sampler[eval]'."
+            f"image files need OpenImageIO, which cannot be imported ({error}): pip install 'pmc-sampler[eval]'."
         ) from error
     module: ModuleType = OpenImageIO
     return module
@@ -166,9 +165,7 @@ def _layers(planes: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.floa
     return {**layers, **planes}
 
 
-def _write(
-    path: str | os.PathLike[str], values: NDArray[Any], names: list[str], metadata: Mapping[str, Any]
-) -> None:
+def _write(path: str | os.PathLike[str], values: NDArray[Any], names: list[str], metadata: Mapping[str, Any]) -> None:
     oiio = require()
     target = Path(path)
     kind = oiio.UINT8 if values.dtype == np.uint8 else oiio.FLOAT

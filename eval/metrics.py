@@ -44,9 +44,7 @@ def tvi_error(
     (doi:10.1109/2945.646233).
     """
     return float(
-        tvi_error_map(
-            test, reference, white_luminance=white_luminance, reference_variance=reference_variance
-        ).mean()
+        tvi_error_map(test, reference, white_luminance=white_luminance, reference_variance=reference_variance).mean()
     )
 
 
@@ -65,9 +63,7 @@ def tvi_error_map(
     return squares - variance * (white_luminance / threshold) ** 2
 
 
-def threshold_ratio(
-    test: ArrayLike, reference: ArrayLike, *, white_luminance: float = WHITE_LUMINANCE
-) -> float:
+def threshold_ratio(test: ArrayLike, reference: ArrayLike, *, white_luminance: float = WHITE_LUMINANCE) -> float:
     """Mean of absolute luminance differences in thresholds, ``mean(abs(dY) / tvi(Y_r))``.
 
     Hoberock and Hart 2010, "Arbitrary importance functions for Metropolis light transport"
@@ -76,17 +72,13 @@ def threshold_ratio(
     return float(threshold_ratio_map(test, reference, white_luminance=white_luminance).mean())
 
 
-def threshold_ratio_map(
-    test: ArrayLike, reference: ArrayLike, *, white_luminance: float = WHITE_LUMINANCE
-) -> Pixels:
+def threshold_ratio_map(test: ArrayLike, reference: ArrayLike, *, white_luminance: float = WHITE_LUMINANCE) -> Pixels:
     """Per-pixel terms of :func:`threshold_ratio`, shape (height, width)."""
     x, r = _pair(test, reference)
     return np.abs(_luminance(x) - _luminance(r)) * white_luminance / _threshold(r, white_luminance)
 
 
-def visible_pixels(
-    test: ArrayLike, reference: ArrayLike, *, white_luminance: float = WHITE_LUMINANCE
-) -> float:
+def visible_pixels(test: ArrayLike, reference: ArrayLike, *, white_luminance: float = WHITE_LUMINANCE) -> float:
     """Fraction of pixels whose luminance differs from the reference by more than one threshold, 0 to 1."""
     return float((threshold_ratio_map(test, reference, white_luminance=white_luminance) > 1.0).mean())
 
@@ -161,9 +153,7 @@ def relmse(
     bright specks do not decide); it must lie in [0, 1).
     """
     if not 0.0 <= trim < 1.0:
-        raise ValueError(
-            f"trim must be a fraction of the values in [0, 1), for example 0.001; it is {trim!r}."
-        )
+        raise ValueError(f"trim must be a fraction of the values in [0, 1), for example 0.001; it is {trim!r}.")
     x, r = _pair(test, reference)
     scale = 1.0 / (r * r + epsilon)
     terms = ((x - r) ** 2 * scale).ravel()
@@ -223,15 +213,11 @@ def _flip(
 
     x, r = _pair(test, reference)
     if not r.max() > 0.0 and exposures is None:
-        raise ValueError(
-            "HDR-FLIP cannot derive exposures from a black reference: pass exposures=(start, stop)."
-        )
+        raise ValueError("HDR-FLIP cannot derive exposures from a black reference: pass exposures=(start, stop).")
     parameters: dict[str, float] = {"ppd": pixels_per_degree}
     if exposures is not None:
         if not exposures[0] <= exposures[1]:
-            raise ValueError(
-                f"exposures must be (start, stop) in stops with start <= stop; they are {exposures}."
-            )
+            raise ValueError(f"exposures must be (start, stop) in stops with start <= stop; they are {exposures}.")
         parameters["startExposure"], parameters["stopExposure"] = exposures
     _, mean, used = flip_evaluator.evaluate(
         np.maximum(r, 0.0).astype(np.float32),
@@ -247,9 +233,7 @@ def _pair(test: ArrayLike, reference: ArrayLike) -> tuple[Pixels, Pixels]:
     x, r = np.asarray(test, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     for name, image in (("test", x), ("reference", r)):
         if image.ndim != 3 or image.shape[2] != 3 or not image.size:
-            raise ValueError(
-                f"the {name} image must be linear RGB of shape (height, width, 3), not {image.shape}."
-            )
+            raise ValueError(f"the {name} image must be linear RGB of shape (height, width, 3), not {image.shape}.")
     if x.shape != r.shape:
         raise ValueError(
             f"test and reference must have one size; the test is {x.shape[1]}x{x.shape[0]} pixels, "
@@ -258,9 +242,7 @@ def _pair(test: ArrayLike, reference: ArrayLike) -> tuple[Pixels, Pixels]:
     for name, image in (("test", x), ("reference", r)):
         bad = image.size - int(np.isfinite(image).sum())
         if bad:
-            raise ValueError(
-                f"the {name} image holds {bad} values that are not finite; no error of it can be given."
-            )
+            raise ValueError(f"the {name} image holds {bad} values that are not finite; no error of it can be given.")
     return x, r
 
 

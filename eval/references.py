@@ -186,9 +186,7 @@ class _Replicates:
         if not path.is_file():
             return cls(0, np.zeros((height, width, 4)), np.zeros((height, width, 4)), 0, 0.0)
         data = _read(path)
-        return cls(
-            int(data["count"]), data["mean"], data["squares"], int(data["rejected"]), float(data["seconds"])
-        )
+        return cls(int(data["count"]), data["mean"], data["squares"], int(data["rejected"]), float(data["seconds"]))
 
     def add(self, image: NDArray[np.float32], rejected: int, seconds: float) -> None:
         rgb = image.astype(np.float64)
@@ -235,9 +233,7 @@ def _save(path: Path, arrays: Mapping[str, Any], settings: Mapping[str, Any] | N
             np.savez(stream, **contents)
         os.replace(partial, path)
     except OSError as error:
-        raise BadReferenceError(
-            f"the reference {str(path)!r} cannot be written: {error.strerror}."
-        ) from error
+        raise BadReferenceError(f"the reference {str(path)!r} cannot be written: {error.strerror}.") from error
     finally:
         partial.unlink(missing_ok=True)
 
@@ -249,6 +245,4 @@ def _read(path: Path) -> dict[str, Any]:
     except FileNotFoundError as error:
         raise BadReferenceError(f"there is no reference {str(path)!r}.") from error
     except Exception as error:  # zip, header and decompression errors are of a dozen types
-        raise BadReferenceError(
-            f"{str(path)!r} is damaged ({error}); delete it to render it anew."
-        ) from error
+        raise BadReferenceError(f"{str(path)!r} is damaged ({error}); delete it to render it anew.") from error

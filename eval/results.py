@@ -72,14 +72,10 @@ def machine() -> str:
     except OSError:
         pass
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return (
-        f"{cpu}, {cores} cores, {platform.system()} {platform.release()}, Python {platform.python_version()}"
-    )
+    return f"{cpu}, {cores} cores, {platform.system()} {platform.release()}, Python {platform.python_version()}"
 
 
-def _preamble(
-    rows: Sequence[Row], baseline: str, stratified: str, command: str, versions: Mapping[str, str]
-) -> str:
+def _preamble(rows: Sequence[Row], baseline: str, stratified: str, command: str, versions: Mapping[str, str]) -> str:
     first = rows[0]
     seeds = len({row["seed"] for row in rows})
     named = ", ".join(f"{name} {version}" for name, version in versions.items())
@@ -107,9 +103,7 @@ def _line(name: str, own: Sequence[Row], baseline: Sequence[Row], stratified: Se
 
     seconds = {part: [row["seconds"][part] for row in own] for part in ("total", "renderer", "sampler")}
     share = {
-        part: median_interval(
-            [100 * a / b for a, b in zip(seconds[part], seconds["total"], strict=True)]
-        ).median
+        part: median_interval([100 * a / b for a, b in zip(seconds[part], seconds["total"], strict=True)]).median
         for part in ("renderer", "sampler")
     }
     cells = [

@@ -34,9 +34,7 @@ def median_interval(
 def ratio_interval(numerator: Sequence[float], denominator: Sequence[float]) -> Interval:
     """Median and interval of ``numerator[s] / denominator[s]`` over seeds ``s``, both in one order."""
     if len(numerator) != len(denominator):
-        raise ValueError(
-            f"ratios are taken seed by seed; {len(numerator)} values came for {len(denominator)}."
-        )
+        raise ValueError(f"ratios are taken seed by seed; {len(numerator)} values came for {len(denominator)}.")
     return median_interval([a / b for a, b in zip(numerator, denominator, strict=True)])
 
 

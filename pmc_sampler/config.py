@@ -9,6 +9,7 @@ import dataclasses
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 from pmc_sampler import _core
@@ -131,12 +132,15 @@ class Config:
         return cls(**{"pool_share": 1.0, "correction": 0.0, **changes})
 
     @classmethod
-    def from_dict(cls, settings: Mapping[str, Any]) -> Config:
-        """From a mapping such as a TOML table; `preset` may name "default", "paper" or "uniform" as the start."""
+    def from_dict(cls, settings: Mapping[str, Any], size: tuple[int, int] = (640, 480)) -> Config:
+        """From a mapping such as a TOML table; `preset` may name "default", "paper" or "uniform" as the start.
+
+        size: width and height of the image in pixels, by which the preset "paper" scales its population.
+        """
         names = [field.name for field in dataclasses.fields(cls)]
         values = dict(settings)
         preset = values.pop("preset", "default")
-        presets = {"default": cls, "paper": cls.paper, "uniform": cls.uniform}
+        presets = {"default": cls, "paper": partial(cls.paper, *size), "uniform": cls.uniform}
         if preset not in presets:
             raise ValueError(f"preset is {preset!r}: expected one of {', '.join(presets)}")
         unknown = sorted(set(values) - set(names))
@@ -181,9 +185,7 @@ class Budget:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value is not None:
-                object.__setattr__(
-                    self, field.name, _number(f"budget {field.name}", value, allow_infinity=False)
-                )
+                object.__setattr__(self, field.name, _number(f"budget {field.name}", value, allow_infinity=False))
         self._native().check()
 
     def _native(self) -> _core.Budget:

@@ -18,9 +18,7 @@ def luminance(rgb: npt.ArrayLike) -> npt.NDArray[np.floating]:
     """
     array = np.asarray(rgb)
     if array.ndim == 0 or array.shape[-1] != 3:
-        raise ValueError(
-            f"luminance: got an array of shape {array.shape}, expected (..., 3) for red, green and blue"
-        )
+        raise ValueError(f"luminance: got an array of shape {array.shape}, expected (..., 3) for red, green and blue")
     dtype = array.dtype if np.issubdtype(array.dtype, np.floating) else np.dtype(np.float64)
     result: npt.NDArray[np.floating] = array @ np.asarray(LUMINANCE_WEIGHTS, dtype)
     return result

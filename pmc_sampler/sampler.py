@@ -136,13 +136,9 @@ class Sampler:
         array = np.asarray(radiance)
         expected = (len(batch), 3 + self.aovs)
         if array.shape != expected:
-            raise ValueError(
-                f"tell: got radiance of shape {array.shape} for batch {batch.number}, expected {expected}"
-            )
+            raise ValueError(f"tell: got radiance of shape {array.shape} for batch {batch.number}, expected {expected}")
         if array.dtype.kind != "f":
-            raise TypeError(
-                f"tell: got radiance of type {array.dtype} for batch {batch.number}, expected float32"
-            )
+            raise TypeError(f"tell: got radiance of type {array.dtype} for batch {batch.number}, expected float32")
         with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite and is counted as such
             self._native.tell(native, np.ascontiguousarray(array, dtype=np.float32))
 
@@ -221,9 +217,7 @@ class Sampler:
             if progress is not None:
                 progress(self)
         seconds = {"total": time.perf_counter() - start, "renderer": in_renderer, "sampler": in_sampler}
-        return Result(
-            self.film, self.samples, self.spp, self.rejected, self.visible_noise, seconds, self.done
-        )
+        return Result(self.film, self.samples, self.spp, self.rejected, self.visible_noise, seconds, self.done)
 
     def save(self, path: str | Path) -> None:
         """Writes everything that the batches to come depend on to one file, beside and then renamed."""
@@ -282,9 +276,7 @@ def _takes_batch(radiance: Radiance) -> bool:
         parameters = list(inspect.signature(radiance).parameters.values())
     except (TypeError, ValueError):  # builtins without a signature
         return False
-    return bool(parameters) and (
-        parameters[0].name == "batch" or parameters[0].annotation in (Batch, "Batch")
-    )
+    return bool(parameters) and (parameters[0].name == "batch" or parameters[0].annotation in (Batch, "Batch"))
 
 
 def _native_batch(batch: Batch) -> _core.Batch:

@@ -101,9 +101,7 @@ def test_render_writes_the_library_s_image(lamp: Callable[..., Any], tmp_path: P
     assert sorted(os.listdir(tmp_path)) == ["a.exr", "a.png"]
 
 
-def test_json_is_one_object_and_nothing_else(
-    lamp: Callable[..., Any], capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_json_is_one_object_and_nothing_else(lamp: Callable[..., Any], capfd: pytest.CaptureFixture[str]) -> None:
     lamp()
     assert main(["render", "here", "--spp", "4", "--json"]) == 0
     out, err = capfd.readouterr()
@@ -118,9 +116,7 @@ def test_json_is_one_object_and_nothing_else(
     assert (summary["output"], summary["preview"]) == ("here.exr", "here.png")
 
 
-def test_words_name_the_files_and_the_times(
-    lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_words_name_the_files_and_the_times(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:
     lamp()
     assert main(["render", "some/scene.xml", "--spp", "2"]) == 0
     out = capsys.readouterr().out
@@ -132,9 +128,7 @@ def test_words_name_the_files_and_the_times(
     ("method", "config"),
     [("pmc", Config()), ("pt", Config.uniform()), ("pmc-paper", Config.paper(population=4000))],
 )
-def test_methods_are_the_library_s(
-    method: str, config: Config, lamp: Callable[..., Any], tmp_path: Path
-) -> None:
+def test_methods_are_the_library_s(method: str, config: Config, lamp: Callable[..., Any], tmp_path: Path) -> None:
     lamp()
     (tmp_path / "c.toml").write_text("population = 4000" if method == "pmc-paper" else "")
     words = ["render", "here", "--method", method, "--spp", "30", "--config", "c.toml", "-o", "a.exr"]
@@ -484,9 +478,7 @@ def test_a_failed_render_resumes_too(lamp: Callable[..., Any], capsys: pytest.Ca
     assert "the same command goes on from state" in capsys.readouterr().err
     lamp()
     assert main(words) == 0
-    np.testing.assert_array_equal(
-        images.read("here.exr").rgb, render(Lamp(), WIDTH, HEIGHT, Budget(spp=9)).film.mean
-    )
+    np.testing.assert_array_equal(images.read("here.exr").rgb, render(Lamp(), WIDTH, HEIGHT, Budget(spp=9)).film.mean)
 
 
 def test_a_renderer_that_fails_at_once_leaves_nothing(
@@ -589,9 +581,7 @@ def test_compare_refuses_images_that_do_not_match(
 def test_scenes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["scenes"]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert {"cornell-box", "cornell-box-mirrors", "diffuse", "thin-lens"} <= {
-        line.split()[0] for line in lines
-    }
+    assert {"cornell-box", "cornell-box-mirrors", "diffuse", "thin-lens"} <= {line.split()[0] for line in lines}
     assert main(["scenes", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)["scenes"]
     assert [row["name"] for row in found] == [line.split()[0] for line in lines]
@@ -690,9 +680,7 @@ def test_the_installed_command_runs(tmp_path: Path) -> None:
     result = subprocess.run([command, "scenes"], cwd=tmp_path, capture_output=True, text=True, check=True)
     assert "cornell-box" in result.stdout
     assert result.stderr == ""
-    refused = subprocess.run(
-        [command, "render", "here", "-o", "a.jpg"], cwd=tmp_path, capture_output=True, text=True
-    )
+    refused = subprocess.run([command, "render", "here", "-o", "a.jpg"], cwd=tmp_path, capture_output=True, text=True)
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
     assert os.listdir(tmp_path) == []

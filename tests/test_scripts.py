@@ -37,9 +37,7 @@ def script(checkout: Path) -> Iterator[Callable[[str], ModuleType]]:
         del sys.modules[name]
 
 
-def test_the_demo(
-    script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_demo(script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["-o", str(tmp_path / "out"), "--size", "64x48", "--spp", "8", "--reference-spp", "32"]
     assert script("examples/demo.py").main(words) == 0
     out = capsys.readouterr().out

@@ -102,8 +102,7 @@ def find(folders: list[Path] | None = None) -> Library:
         turned_down.append(f"{library}: {why}")
     found = f"found only {'; '.join(turned_down)}" if turned_down else "found none"
     raise LibraryError(
-        f"Mitsuba's llvm variants need a shared LLVM library, and this machine has no usable one ({found}); "
-        f"{_ADVICE}"
+        f"Mitsuba's llvm variants need a shared LLVM library, and this machine has no usable one ({found}); {_ADVICE}"
     )
 
 

@@ -72,9 +72,7 @@ def sensor_of(scene: Any, sensor: Any) -> Any:
         sensor = scene.sensors()[sensor]
     film = sensor.film()
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):
-        raise ValueError(
-            f"the sensor's film is a {film.class_name()}, which does not record RGB; use an hdrfilm"
-        )
+        raise ValueError(f"the sensor's film is a {film.class_name()}, which does not record RGB; use an hdrfilm")
     return sensor
 
 
@@ -203,9 +201,7 @@ def _guarded(what: str, load: Any, *arguments: Any) -> Any:
     """`load(*arguments)`, its failure turned into one sentence."""
     try:
         return load(*arguments)
-    except (
-        Exception
-    ) as error:  # Mitsuba raises RuntimeError, ValueError or nanobind's own, by place of failure
+    except Exception as error:  # Mitsuba raises RuntimeError, ValueError or nanobind's own, by place of failure
         raise ValueError(f"Mitsuba cannot load {what}: {_reason(error)}") from error
 
 

@@ -66,9 +66,7 @@ class Evaluator:
         """The channels of the samples at (x, y)."""
         with _suspended():
             value, wavelengths, aovs = self._measure(x, y, scramble, index)
-            if (
-                mi.is_spectral
-            ):  # here, for Mitsuba keeps its table of the observer where a recording cannot see it
+            if mi.is_spectral:  # here, for Mitsuba keeps its table of the observer where a recording cannot see it
                 value = mi.spectrum_to_srgb(value, wavelengths)
             elif mi.is_monochromatic:
                 value = mi.Color3f(value[0])
@@ -101,9 +99,7 @@ class Evaluator:
         sampler.start(scramble, index)
         return sampler
 
-    def _all(
-        self, scene: Any, sensor: Any, integrator: Any, x: Any, y: Any, scramble: Any, index: Any
-    ) -> Measured:
+    def _all(self, scene: Any, sensor: Any, integrator: Any, x: Any, y: Any, scramble: Any, index: Any) -> Measured:
         sampler = self._sampler(scramble, index)
         ray, weight = self._camera(sensor, sampler, x, y)
         return self._radiance(scene, sensor, integrator, sampler, ray, weight)
@@ -115,9 +111,7 @@ class Evaluator:
         self._camera.draw(sampler)  # the camera rays used these
         return self._radiance(scene, sensor, integrator, sampler, ray, weight)
 
-    def _radiance(
-        self, scene: Any, sensor: Any, integrator: Any, sampler: Any, ray: Any, weight: Any
-    ) -> Measured:
+    def _radiance(self, scene: Any, sensor: Any, integrator: Any, sampler: Any, ray: Any, weight: Any) -> Measured:
         """What arrives along the rays, as in Mitsuba's `SamplingIntegrator::render_sample`."""
         if self._differentiable:
             value, _, aovs, _ = integrator.sample(

@@ -161,8 +161,6 @@ class MitsubaRenderer:
         if buffer is None or len(buffer) < size:
             memory = np.empty(size * np.dtype(dtype).itemsize + _ALIGNMENT, np.uint8)
             offset = -memory.ctypes.data % _ALIGNMENT
-            buffer = self._buffers[name] = memory[offset : offset + size * np.dtype(dtype).itemsize].view(
-                dtype
-            )
+            buffer = self._buffers[name] = memory[offset : offset + size * np.dtype(dtype).itemsize].view(dtype)
         buffer[:size] = values
         return buffer[:size]

@@ -31,9 +31,7 @@ def parser() -> argparse.ArgumentParser:
     top.add_argument("--version", action="version", version=f"pmc-sampler {__version__}")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
     _render(commands.add_parser("render", help="render a scene to an EXR and a PNG", allow_abbrev=False))
-    _compare(
-        commands.add_parser("compare", help="all metrics of one image against another", allow_abbrev=False)
-    )
+    _compare(commands.add_parser("compare", help="all metrics of one image against another", allow_abbrev=False))
     for name, text in (
         ("scenes", "list the built-in scenes"),
         ("renderers", "list the renderers, and what a missing one needs"),
@@ -73,9 +71,7 @@ def _render(p: argparse.ArgumentParser) -> None:
         help="stop when at most the share F of pixels shows noise, 0 to 1",
     )
     p.add_argument("--seed", type=seed, default=0, metavar="N", help="default: %(default)s")
-    p.add_argument(
-        "--config", type=Path, metavar="FILE.toml", help="settings of the sampler that replace the method's"
-    )
+    p.add_argument("--config", type=Path, metavar="FILE.toml", help="settings of the sampler that replace the method's")
     p.add_argument("-o", "--output", type=Path, metavar="OUT.exr", help="default: SCENE.exr in this folder")
     p.add_argument(
         "--checkpoint",

@@ -40,9 +40,7 @@ class Checkpoint:
             probe.touch(exist_ok=False)
             probe.unlink()
         except OSError as error:
-            raise CommandError(
-                f"no file can be written in {str(self.path.parent)!r}: {error.strerror}."
-            ) from error
+            raise CommandError(f"no file can be written in {str(self.path.parent)!r}: {error.strerror}.") from error
 
     def resume(self) -> Sampler | None:
         """The sampler as it was saved, or nothing where there is no checkpoint yet.

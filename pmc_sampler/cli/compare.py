@@ -30,11 +30,7 @@ def compare(options: argparse.Namespace) -> int:
         for row in rows:
             if not math.isfinite(row["value"]):
                 row["value"] = None
-        print(
-            json.dumps(
-                {"test": str(options.test), "reference": str(options.reference), "metrics": rows}, indent=2
-            )
-        )
+        print(json.dumps({"test": str(options.test), "reference": str(options.reference), "metrics": rows}, indent=2))
         return 0
     for measure in measures:
         constants = ", ".join(f"{name} {value:g}" for name, value in measure.constants.items())

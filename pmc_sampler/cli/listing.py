@@ -12,11 +12,7 @@ def scenes(options: argparse.Namespace) -> int:
     module = load("pmc_sampler.scenes", "listing scenes", "all")
     rows = {name: module.describe(name) for name in module.names()}
     if options.json:
-        print(
-            json.dumps(
-                {"scenes": [{"name": name, "description": text} for name, text in rows.items()]}, indent=2
-            )
-        )
+        print(json.dumps({"scenes": [{"name": name, "description": text} for name, text in rows.items()]}, indent=2))
         return 0
     width = max((len(name) for name in rows), default=0)
     for name, text in rows.items():
@@ -29,8 +25,7 @@ def renderers(options: argparse.Namespace) -> int:
     found = importlib.import_module("pmc_sampler.adapters").available()
     if options.json:
         rows = [
-            {"name": item.name, "runs": item.runs, "detail": item.detail, "trouble": item.trouble}
-            for item in found
+            {"name": item.name, "runs": item.runs, "detail": item.detail, "trouble": item.trouble} for item in found
         ]
         print(json.dumps({"renderers": rows}, indent=2))
         return 0

@@ -12,6 +12,5 @@ def load(module: str, purpose: str, extra: str) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise CommandError(
-            f"{purpose} needs a package that cannot be imported ({error}): "
-            f"pip install 'pmc-sampler[{extra}]'."
+            f"{purpose} needs a package that cannot be imported ({error}): pip install 'pmc-sampler[{extra}]'."
         ) from error

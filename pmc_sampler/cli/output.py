@@ -35,15 +35,10 @@ class Output:
         if self.png.is_dir():
             raise CommandError(f"{str(self.png)!r}, where the PNG would go, is a folder.")
 
-    def write(
-        self, sampler: Sampler, radiance: Any, seconds: Mapping[str, float], done: str | None
-    ) -> dict[str, Any]:
+    def write(self, sampler: Sampler, radiance: Any, seconds: Mapping[str, float], done: str | None) -> dict[str, Any]:
         """Write both files; returns the summary of the render."""
         summary = {
-            **{
-                name: getattr(self._options, name)
-                for name in ("scene", "renderer", "method", "sampler", "seed")
-            },
+            **{name: getattr(self._options, name) for name in ("scene", "renderer", "method", "sampler", "seed")},
             **{name: getattr(sampler, name) for name in ("width", "height", "samples", "spp", "rejected")},
             "visible_noise": sampler.visible_noise,
             "seconds": dict(seconds),

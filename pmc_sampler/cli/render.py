@@ -52,9 +52,7 @@ def render(options: argparse.Namespace) -> int:
             text = " ".join(str(error).split()) or type(error).__name__
             finished, failure = False, CommandError(f"rendering failed: {text.rstrip('.')}.", status=1)
     if not job.sampler.samples:
-        raise failure or CommandError(
-            "interrupted before the first sample, so no image was written.", INTERRUPTED
-        )
+        raise failure or CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
     kept = "" if finished else _keep(job)
     ended = job.sampler.done if finished else "interrupted" if failure is None else "failed"
     report(output.write(job.sampler, job.radiance, job.seconds, ended), options.json)
@@ -81,13 +79,14 @@ def _keep(job: Job) -> str:
 
 
 def _job(options: argparse.Namespace) -> Job:
-    config = settings.config(options.method, options.config)
     budget = settings.budget(options)
+    settings.config(options.method, options.config, (640, 480))  # a mistake in it shows before the scene is loaded
     try:
         adapters = importlib.import_module("pmc_sampler.adapters")
         radiance = adapters.load(options.renderer, options.scene, sampler=options.sampler, size=options.size)
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:
         raise CommandError(" ".join(str(error).split())) from error
+    config = settings.config(options.method, options.config, (radiance.width, radiance.height))
     checkpoint = None
     if options.checkpoint is not None:
         identity = {

@@ -14,11 +14,11 @@ from .errors import CommandError
 _PRESETS = {"pmc": "default", "pmc-paper": "paper", "pt": "uniform"}
 
 
-def config(method: str, file: Path | None) -> Config:
-    """The method's settings, those in the TOML file in their place, a ``preset`` too."""
+def config(method: str, file: Path | None, size: tuple[int, int]) -> Config:
+    """The method's settings for an image of that size; those in the TOML file, a ``preset`` too, take their place."""
     given = {} if file is None else _read(file)
     try:
-        return Config.from_dict({"preset": _PRESETS[method], **given})
+        return Config.from_dict({"preset": _PRESETS[method], **given}, size)
     except (ValueError, TypeError) as error:
         raise CommandError(f"{str(file)!r}: {error}") from error
 
@@ -41,9 +41,7 @@ def _read(file: Path) -> Mapping[str, Any]:
         try:
             toml = importlib.import_module("tomli")
         except ImportError as error:
-            raise CommandError(
-                "--config needs tomli on Python 3.10: pip install 'pmc-sampler[cli]'."
-            ) from error
+            raise CommandError("--config needs tomli on Python 3.10: pip install 'pmc-sampler[cli]'.") from error
     try:
         text = file.read_text(encoding="utf-8")
     except OSError as error:

@@ -63,9 +63,7 @@ def test_a_third_partys_renderer(third_party: type) -> None:
 def test_unknown_names_and_options(third_party: type) -> None:
     from pmc_sampler import adapters
 
-    with pytest.raises(
-        ValueError, match=r"no renderer is called 'mitsba'; there are .*did you mean 'mitsuba'\?"
-    ):
+    with pytest.raises(ValueError, match=r"no renderer is called 'mitsba'; there are .*did you mean 'mitsuba'\?"):
         adapters.load("mitsba", "cornell-box")
     with pytest.raises(TypeError, match="the renderer 'theirs' has no option 'qualty'; it has quality"):
         adapters.load("theirs", "a scene", qualty=3)

@@ -15,9 +15,7 @@ from pmc_sampler import Config
 pytestmark = pytest.mark.needs("skimage", "flip_evaluator")
 
 METHODS = (benchmark.BASELINE, benchmark.STRATIFIED, benchmark.Method("default", Config(), "sobol"))
-PLAN = benchmark.Plan(
-    scenes=("one", "two"), width=24, height=20, spp=4, seeds=2, reference_spp=64, methods=METHODS
-)
+PLAN = benchmark.Plan(scenes=("one", "two"), width=24, height=20, spp=4, seeds=2, reference_spp=64, methods=METHODS)
 
 
 class Loader:
@@ -43,9 +41,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def rows(finished: Path, noisy: type) -> list[dict[str, Any]]:
-    return benchmark.run(
-        PLAN, Loader(noisy), benchmark.Rows(finished / "rows.jsonl"), cache=finished / "cache"
-    )
+    return benchmark.run(PLAN, Loader(noisy), benchmark.Rows(finished / "rows.jsonl"), cache=finished / "cache")
 
 
 def test_every_run_is_one_row(rows: list[dict[str, Any]], finished: Path) -> None:
@@ -87,9 +83,7 @@ def test_an_interrupted_benchmark_runs_what_is_missing(
     path = tmp_path / "rows.jsonl"
     path.write_text("".join(lines[:kept]) + lines[kept][:50])
     said: list[str] = []
-    again = benchmark.run(
-        PLAN, Loader(noisy), benchmark.Rows(path), cache=finished / "cache", log=said.append
-    )
+    again = benchmark.run(PLAN, Loader(noisy), benchmark.Rows(path), cache=finished / "cache", log=said.append)
     assert len([line for line in said if "tvi error" in line]) == 12 - kept
     assert path.read_text().splitlines(keepends=True)[:kept] == lines[:kept]
     for one, other in zip(again, rows, strict=True):

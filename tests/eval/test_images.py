@@ -63,9 +63,7 @@ def test_images_of_other_programs_are_read(picture: np.ndarray, tmp_path: Path) 
     np.testing.assert_array_equal(images.read(tmp_path / "grey.pfm").rgb, np.repeat(picture[..., :1], 3, 2))
     OpenImageIO.ImageBuf(picture).write(str(tmp_path / "a.hdr"))
     # Radiance's RGBE shares one exponent among the channels: 8 bits of the largest.
-    np.testing.assert_allclose(
-        images.read(tmp_path / "a.hdr").rgb, picture, atol=float(picture.max()) / 128, rtol=0.02
-    )
+    np.testing.assert_allclose(images.read(tmp_path / "a.hdr").rgb, picture, atol=float(picture.max()) / 128, rtol=0.02)
 
 
 @pytest.mark.parametrize("broken", ["missing", "foreign", "truncated", "suffix"])

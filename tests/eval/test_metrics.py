@@ -150,16 +150,12 @@ def test_flip_is_that_of_the_package_as_it_comes(pair: tuple[np.ndarray, np.ndar
 def test_reference_variance_is_subtracted(pair: tuple[np.ndarray, np.ndarray]) -> None:
     x, r = pair
     variance = np.random.default_rng(3).uniform(0, 0.1, SHAPE)
-    assert metrics.mse(x, r, reference_variance=variance) == pytest.approx(
-        metrics.mse(x, r) - variance.mean()
-    )
+    assert metrics.mse(x, r, reference_variance=variance) == pytest.approx(metrics.mse(x, r) - variance.mean())
     scaled = (variance / (r**2 + 0.01)).mean()
     assert metrics.relmse(x, r, reference_variance=variance) == pytest.approx(metrics.relmse(x, r) - scaled)
     of_luminance = variance[..., 0]
     unit = metrics.tvi_error(r + np.sqrt(of_luminance)[..., None], r)
-    assert metrics.tvi_error(x, r, reference_variance=of_luminance) == pytest.approx(
-        metrics.tvi_error(x, r) - unit
-    )
+    assert metrics.tvi_error(x, r, reference_variance=of_luminance) == pytest.approx(metrics.tvi_error(x, r) - unit)
 
 
 def test_subtraction_recovers_the_error_against_the_truth() -> None:

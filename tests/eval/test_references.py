@@ -62,9 +62,7 @@ def test_a_cached_reference_is_not_rendered_again(noisy: type, tmp_path: Path) -
 @pytest.mark.parametrize("after", [1, 7, 23, 40])
 def test_an_interrupted_reference_resumes_to_the_same_bits(after: int, noisy: type, tmp_path: Path) -> None:
     def obtain(radiance: object, folder: str) -> references.Reference:
-        return references.obtain(
-            radiance, 64, 64, 64, SETTINGS, cache=tmp_path / folder, replicates=4, save_seconds=0
-        )
+        return references.obtain(radiance, 64, 64, 64, SETTINGS, cache=tmp_path / folder, replicates=4, save_seconds=0)
 
     whole = obtain(noisy(64, 64), "whole")
     with pytest.raises(KeyboardInterrupt):
@@ -87,9 +85,7 @@ def test_progress_goes_from_nought_to_one(noisy: type, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("spp", "replicates"), [(0, 16), (100, 16), (8, 16), (64, 1)])
-def test_numbers_that_do_not_divide_are_refused(
-    spp: int, replicates: int, noisy: type, tmp_path: Path
-) -> None:
+def test_numbers_that_do_not_divide_are_refused(spp: int, replicates: int, noisy: type, tmp_path: Path) -> None:
     with pytest.raises(references.BadReferenceError, match="multiple"):
         references.obtain(noisy(), 12, 10, spp, SETTINGS, cache=tmp_path, replicates=replicates)
 

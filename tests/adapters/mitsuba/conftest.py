@@ -108,8 +108,7 @@ def agreement(mi: Any) -> Callable[..., float]:
     def p_of(renderer: Any, scene: Any = None, sensor: Any = None, spp: int = 32, tile: int = 16) -> float:
         width, height, seeds = renderer.width, renderer.height, 16
         ours = [
-            image_of(renderer(uniform_batch(width, height, spp, seed)), width, height)[..., :3]
-            for seed in range(seeds)
+            image_of(renderer(uniform_batch(width, height, spp, seed)), width, height)[..., :3] for seed in range(seeds)
         ]
         with mi.util.variant_context(renderer.variant):
             theirs = [
@@ -134,9 +133,7 @@ def small_scene(mi: Any) -> Callable[..., dict[str, Any]]:
     """A function that gives a Cornell box with a glass ball as a dictionary, 32x32; what it is given replaces
     or joins."""
 
-    def make(
-        sensor: dict[str, Any] | None = None, film: dict[str, Any] | None = None, **parts: Any
-    ) -> dict[str, Any]:
+    def make(sensor: dict[str, Any] | None = None, film: dict[str, Any] | None = None, **parts: Any) -> dict[str, Any]:
         scene = mi.cornell_box()
         for box in ("small-box", "large-box"):
             del scene[box]

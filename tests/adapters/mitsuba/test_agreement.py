@@ -87,9 +87,7 @@ def test_camera_in_a_medium(agreement: Any, small_scene: Any) -> None:
 
 
 @pytest.mark.parametrize("variant", ["llvm_ad_spectral", "llvm_ad_mono"])
-def test_variants(
-    mi: Any, agreement: Any, small_scene: Any, variant: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_variants(mi: Any, agreement: Any, small_scene: Any, variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """The control drops the weight that makes up for the sensor's choice of wavelengths (monochrome has
     none)."""
     if variant not in mi.variants():

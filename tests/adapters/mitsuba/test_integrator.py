@@ -23,9 +23,7 @@ def scene_with(mi: Any) -> Any:
         text = scenes.path("thin-lens").read_text(encoding="utf-8")
         start, end = text.index("<integrator"), text.index("</integrator>") + len("</integrator>")
         text = text[:start] + integrator + text[end:]
-        text = text.replace('<rfilter type="box"/>', film).replace(
-            '<default name="max_depth" value="12"/>', ""
-        )
+        text = text.replace('<rfilter type="box"/>', film).replace('<default name="max_depth" value="12"/>', "")
         return mi.load_string(text, width="32", height="32", spp="8")
 
     return load
@@ -90,9 +88,7 @@ def test_crop_and_alpha(mi: Any, small_scene: Any) -> None:
 
 
 def test_channels_of_the_nested_integrator(mi: Any, scene_with: Any) -> None:
-    scene = scene_with(
-        pmc(nested='<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>')
-    )
+    scene = scene_with(pmc(nested='<integrator type="aov"><string name="aovs" value="d:depth"/></integrator>'))
     image = np.array(mi.render(scene, spp=4))
     assert image.shape == (32, 32, 4)
     assert [field.name for field in scene.sensors()[0].film().bitmap().struct_()] == ["R", "G", "B", "d.T"]

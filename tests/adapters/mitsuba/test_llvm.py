@@ -84,9 +84,7 @@ def test_the_users_choice_is_checked(llvm: Any, tmp_path: Path, monkeypatch: pyt
     monkeypatch.setenv(llvm.ENVIRONMENT, str(tmp_path / "libLLVM.so.19.1"))
     assert llvm.find(folders).version == 19
     monkeypatch.setenv(llvm.ENVIRONMENT, str(tmp_path / "libLLVM-15.so.1"))
-    with pytest.raises(
-        llvm.LibraryError, match=r"DRJIT_LIBLLVM_PATH names LLVM 15 .* cannot use \(it aborts"
-    ):
+    with pytest.raises(llvm.LibraryError, match=r"DRJIT_LIBLLVM_PATH names LLVM 15 .* cannot use \(it aborts"):
         llvm.find(folders)
     monkeypatch.setenv(llvm.ENVIRONMENT, str(tmp_path / "libLLVM.so.40"))
     with pytest.raises(llvm.LibraryError, match=r"names .*libLLVM\.so\.40, and there is no such file"):
@@ -131,7 +129,5 @@ def test_trials(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "libLLVM.so.19.1").touch()
     assert llvm._trial(str(tmp_path / "libLLVM.so.19.1")) == "Dr.Jit turns it down"
     for library in llvm.candidates():
-        if (
-            library.version is not None and library.version < 17
-        ):  # a machine may have one; Debian's OpenCL pulls in 15
+        if library.version is not None and library.version < 17:  # a machine may have one; Debian's OpenCL pulls in 15
             assert llvm._trial(library.path) is not None

@@ -68,9 +68,7 @@ def test_a_value_depends_on_its_sample_alone(small_scene: Any, batch_of: Any, ki
     order = np.random.default_rng(3).permutation(len(batch))
     assert np.array_equal(r(batch[order]), whole[order])
     cuts = np.cumsum([1, 2, 5, 16, 63, 500, 1001])
-    assert np.array_equal(
-        np.concatenate([r(batch[part]) for part in np.split(np.arange(len(batch)), cuts)]), whole
-    )
+    assert np.array_equal(np.concatenate([r(batch[part]) for part in np.split(np.arange(len(batch)), cuts)]), whole)
     assert np.array_equal(renderer(small_scene(), sampler=kind)(batch), whole)
 
 
@@ -188,9 +186,7 @@ def test_crop(small_scene: Any, batch_of: Any, probe: Any) -> None:
 
 def test_size(mi: Any, small_scene: Any, batch_of: Any) -> None:
     """A scene loaded here takes the size; one of the caller's keeps its own and is not changed."""
-    assert [
-        (r.width, r.height) for r in (renderer("cornell-box"), renderer("cornell-box", size=(40, 30)))
-    ] == [
+    assert [(r.width, r.height) for r in (renderer("cornell-box"), renderer("cornell-box", size=(40, 30)))] == [
         (640, 480),
         (40, 30),
     ]
@@ -240,9 +236,7 @@ def test_other_integrators(small_scene: Any, batch_of: Any) -> None:
     """Every kind of integrator that returns radiance is called as it wants to be, and recorded."""
     batch = batch_of(32, 32, 4, 12)
     values = {
-        name: renderer(
-            small_scene(), integrator={"type": name, **({} if name == "direct" else {"max_depth": 2})}
-        )
+        name: renderer(small_scene(), integrator={"type": name, **({} if name == "direct" else {"max_depth": 2})})
         for name in ("path", "volpath", "direct", "prb", "direct_projective")
         if name != "direct_projective"
     }
@@ -271,9 +265,7 @@ def test_renderers_side_by_side_and_in_threads(small_scene: Any, batch_of: Any) 
         assert np.array_equal(results[k][1], b)
 
 
-def test_what_cannot_be_recorded_is_traced_and_said(
-    small_scene: Any, batch_of: Any, probe: Any, mi: Any
-) -> None:
+def test_what_cannot_be_recorded_is_traced_and_said(small_scene: Any, batch_of: Any, probe: Any, mi: Any) -> None:
     """A plugin with state that Dr.Jit does not see: a warning, once, and right values for every batch."""
     import drjit as dr
 
