@@ -137,13 +137,15 @@ class Config:
 
         size: width and height of the image in pixels, by which the preset "paper" scales its population.
         """
+        if not isinstance(settings, Mapping):
+            raise TypeError(f"settings are {settings!r}: expected a mapping such as a TOML table")
         names = [field.name for field in dataclasses.fields(cls)]
         values = dict(settings)
         preset = values.pop("preset", "default")
         presets = {"default": cls, "paper": partial(cls.paper, *size), "uniform": cls.uniform}
-        if preset not in presets:
+        if not isinstance(preset, str) or preset not in presets:
             raise ValueError(f"preset is {preset!r}: expected one of {', '.join(presets)}")
-        unknown = sorted(set(values) - set(names))
+        unknown = sorted(set(values) - set(names), key=str)
         if unknown:
             raise ValueError(f"unknown setting {unknown[0]!r}: expected one of preset, {', '.join(names)}")
         return presets[preset](**values)
@@ -193,8 +195,10 @@ class Budget:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value is not None:
-                if field.name == "visible_noise" and value < 0:
-                    value = 0.0  # the core takes a negative share for "no limit"; refuse it as it refuses 0
+                if field.name == "visible_noise" and value < 0:  # the core takes -1 for "no limit"
+                    raise ValueError(
+                        f"budget visible_noise is {value:g}: expected a share of the pixels between 0 and 1"
+                    )
                 setattr(native, field.name, value)
         return native
 
@@ -213,7 +217,7 @@ _LARGEST = {"batch": 2**31, "population": 2**29, "lookahead": 2**31}
 
 
 def _number(name: str, value: Any, allow_infinity: bool = True) -> float:
-    if isinstance(value, bool):
+    if isinstance(value, (bool, str, bytes)):
         raise TypeError(f"{name} is {value!r}: expected a number")
     try:
         number = float(value)
@@ -230,7 +234,7 @@ def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
     if value is None and "None" in kind:
         return None
     if name in _ENUMS:
-        if value not in _ENUMS[name]:
+        if not isinstance(value, str) or value not in _ENUMS[name]:
             raise ValueError(f"{name} is {value!r}: expected one of {', '.join(_ENUMS[name])}")
         return value
     if name == "radii":
@@ -247,7 +251,9 @@ def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
     number = _number(name, value)
     if kind.startswith("int"):
         low, high = (1 if "None" in kind else 0), _LARGEST.get(name, 2**31)
-        if number != math.floor(number) or not low <= number <= high:
+        if not number.is_integer() or not low <= number <= high:
             raise ValueError(f"{name} is {value!r}: expected a whole number from {low} to {high}")
         return int(number)
+    if name == "initial_spp" and number < 0:  # the core takes -1 for "automatic"
+        raise ValueError(f"initial_spp is {value!r}: expected 0 to 1e9, or None")
     return number

@@ -146,13 +146,19 @@ struct Budget {
     double visible_noise = -1.0;  // share of pixels whose standard error of luminance exceeds tvi, in (0, 1); -1: no limit
 
     void check() const {
-        if (!(spp > 0.0)) throw std::invalid_argument("budget spp must be above 0 samples a pixel");
-        if (!(seconds > 0.0)) throw std::invalid_argument("budget seconds must be above 0");
+        if (!(spp == none || (spp > 0.0 && spp <= 1e9))) fail("spp", spp, "samples a pixel above 0 and at most 1e9");
+        if (!(seconds > 0.0)) fail("seconds", seconds, "seconds above 0");
         if (visible_noise != -1.0 && !(visible_noise > 0.0 && visible_noise < 1.0))
-            throw std::invalid_argument("budget visible_noise must be a share of the pixels between 0 and 1");
+            fail("visible_noise", visible_noise, "a share of the pixels between 0 and 1");
         if (spp == none && seconds == none && visible_noise == -1.0)
             throw std::invalid_argument("the budget has no limit: give spp, seconds or visible_noise");
-        if (spp != none && spp > 1e9) throw std::invalid_argument("budget spp is above 1e9 samples a pixel");
+    }
+
+private:
+    [[noreturn]] static void fail(const char* name, double came, const char* expected) {
+        std::ostringstream text;
+        text << "budget " << name << " is " << came << ": expected " << expected;
+        throw std::invalid_argument(text.str());
     }
 };
 

@@ -41,7 +41,6 @@ public:
         total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
         double initial = config.initial_spp;
         if (initial == Config::automatic) initial = budget.spp == Budget::none ? 4.0 : std::clamp(std::round(budget.spp / 8.0), 4.0, 16.0);
-        if (config.is_uniform()) initial = budget.spp == Budget::none ? 0.0 : budget.spp;
         initial_ = static_cast<std::uint64_t>(std::min(std::round(initial * pixels), static_cast<double>(total_)));
     }
     Sampler(const Sampler&) = delete;
