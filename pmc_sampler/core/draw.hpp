@@ -76,7 +76,7 @@ inline void Sampler::regenerate(Batch& batch, std::uint64_t room, const Systemat
         if (!config.population) evaluated_share *= config.eliminate;
     } else {
         if (population.iteration % config.adapt_alpha_every == 0) population.adapt(config, memory_);
-        replaced = population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number));
+        replaced = population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number), threads_);
         for (const std::uint32_t m : replaced) Population::adapt(population.members[m], config, memory_);
     }
     ++population.iteration;

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <limits>
 
 #include "batch.hpp"
@@ -60,7 +61,10 @@ public:
             for (std::size_t i = boundary(first), end = boundary(last); i < end;) {
                 const std::uint32_t tile = slot[i] / Tiling::area;
                 const std::size_t start = i;
-                for (; i < end && slot[i] / Tiling::area == tile; ++i) bad += !add_sample(slot[i], batch.tag[i], radiance + i * (3 + aovs), luminances ? luminances + i : nullptr);
+                for (; i < end && slot[i] / Tiling::area == tile; ++i) {
+                    if (i + ahead < end) fetch(slot[i + ahead], batch.tag[i + ahead]);
+                    bad += !add_sample(slot[i], batch.tag[i], radiance + i * (3 + aovs), luminances ? luminances + i : nullptr);
+                }
                 // For each sample, not for each pixel: the branch between the two costs more than the work.
                 if (steers_)
                     for (std::size_t j = start; j < i; ++j) steer(slot[j]);
@@ -168,6 +172,14 @@ public:
 private:
     using Pair = double __attribute__((vector_size(2 * sizeof(double))));
 
+    // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
+    static constexpr std::size_t ahead = 12;
+    void fetch(std::size_t slot, std::uint8_t tag) const {
+        __builtin_prefetch(&sums[slot], 1);
+        if ((tag & Tag::pool) && !uniform_) __builtin_prefetch(&pool_mean[slot], 1);
+        if ((tag & Tag::kernel_mask) != Tag::no_kernel) __builtin_prefetch(&strategy[slot], 1);
+    }
+
     // One sample; false where it is left out. Its deviation is taken from the mean before it (Welford 1962,
     // doi:10.1080/00401706.1962.10490022), so that a large mean with a tiny spread loses nothing.
     bool add_sample(std::size_t slot, std::uint8_t tag, const float* v, float* luminance_out) {
@@ -180,19 +192,21 @@ private:
         const double r = v[0], g = v[1], b = v[2], y = luminance(r, g, b), inverse = reciprocal(n), share = n * reciprocal(n + 1);
         if (luminance_out) *luminance_out = static_cast<float>(y);
         // Red, green, blue and luminance in two vectors of the width that every x86-64 and 64-bit Arm processor has.
-        const Pair sum_rg = {p.sum[0], p.sum[1]}, x_rg = {r, g}, x_by = {b, y};
-        const Pair sum_by = {p.sum[2], luminance(p.sum[0], p.sum[1], p.sum[2])};
+        // They are read as they were written, whole: a processor passes a value on from its last write at once only then.
+        Pair sum_rg;
+        std::memcpy(&sum_rg, p.sum, sizeof sum_rg);
+        const Pair x_rg = {r, g}, x_by = {b, y};
+        const Pair sum_by = {p.sum[2], luminance(sum_rg[0], sum_rg[1], p.sum[2])};
         const Pair d_rg = x_rg - sum_rg * inverse, d_by = x_by - sum_by * inverse;
         const Pair m2_rg = d_rg * d_rg * share, m2_by = d_by * d_by * share, now_rg = sum_rg + x_rg;
-        p.sum[0] = now_rg[0];
-        p.sum[1] = now_rg[1];
+        std::memcpy(p.sum, &now_rg, sizeof now_rg);
         p.sum[2] = sum_by[0] + b;
         p.m2_luminance += m2_by[1];
         p.m2[0] += static_cast<float>(m2_rg[0]);
         p.m2[1] += static_cast<float>(m2_rg[1]);
         p.m2[2] += static_cast<float>(m2_by[0]);
         // A weight of 0 costs less than a branch that nobody can predict.
-        const float half_weight = static_cast<float>(n % 2 ? 0.0 : reciprocal(n / 2 + 1));
+        const float half_weight = static_cast<float>(reciprocal(n / 2 + 1) * double(1 - n % 2));
         for (int c = 0; c < 3; ++c) p.half_mean[c] += (v[c] - p.half_mean[c]) * half_weight;
         p.n = n + 1;
         if (tag & Tag::pool) {

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <functional>
 #include <limits>
 #include <numeric>
 #include <vector>
@@ -119,27 +120,40 @@ struct Population {
     // Members to replace: all but round((1 - eliminate) n) survivors, which are drawn without replacement in proportion to
     // w = var / N_used (section 4.3.1) by the keys of Efraimidis and Spirakis 2006 (doi:10.1016/j.ipl.2005.11.003); members
     // of weight 0 survive only where too few others are left.
-    std::vector<std::uint32_t> eliminated(double share, const Stream& stream) const {
+    std::vector<std::uint32_t> eliminated(double share, const Stream& stream, ThreadPool& threads) const {
         const std::size_t n = members.size();
         const auto survivors = static_cast<std::size_t>(std::llround((1.0 - share) * static_cast<double>(n)));
-        std::vector<std::uint32_t> order(n);
-        std::iota(order.begin(), order.end(), 0u);
-        if (survivors == 0 || survivors >= n) {
-            if (survivors >= n) order.clear();
-            return order;
+        std::vector<std::uint32_t> gone;
+        gone.reserve(n - survivors);
+        if (survivors == 0) {
+            for (std::uint32_t i = 0; i < n; ++i) gone.push_back(i);
+            return gone;
         }
-        std::vector<double> key(n);
-        for (std::size_t i = 0; i < n; ++i) {
-            const double weight = members[i].all.variance() / std::max(1u, members[i].rounds);
-            const double u = (stream.word(static_cast<std::uint32_t>(i)) + 0.5) * 0x1p-32;
-            // log(u) / w, larger is better; without weight, after all others and at random.
-            key[i] = weight > 0.0 ? std::log(u) / weight : -std::numeric_limits<double>::max() * (0.5 + 0.5 * u);
+        if (survivors >= n) return gone;
+        // log(u) / w, larger is better; without weight, after all others and at random.
+        std::vector<float> key(n), sorted;
+        threads.ranges(n, 4096, [&](std::size_t first, std::size_t last) {
+            for (std::size_t i = first; i < last; ++i) {
+                const float weight = members[i].all.variance() / static_cast<float>(std::max(1u, members[i].rounds));
+                const float u = (static_cast<float>(stream.word(static_cast<std::uint32_t>(i)) >> 8) + 0.5f) * 0x1p-24f;
+                const float score = weight > 0.0f ? std::log(u) / weight : -std::numeric_limits<float>::infinity();
+                key[i] = score > -std::numeric_limits<float>::max() ? score : -std::numeric_limits<float>::max() * (0.5f + 0.5f * u);
+            }
+        });
+        sorted = key;
+        const auto last_kept = sorted.begin() + static_cast<std::ptrdiff_t>(survivors - 1);
+        std::nth_element(sorted.begin(), last_kept, sorted.end(), std::greater<>());
+        const float threshold = *last_kept;
+        // Among equal keys the first members stay.
+        auto ties = survivors - static_cast<std::size_t>(std::count_if(key.begin(), key.end(), [&](float k) { return k > threshold; }));
+        for (std::uint32_t i = 0; i < n; ++i) {
+            if (key[i] > threshold || (key[i] == threshold && ties > 0)) {
+                ties -= key[i] == threshold;
+                continue;
+            }
+            gone.push_back(i);
         }
-        const auto better = [&](std::uint32_t a, std::uint32_t b) { return key[a] != key[b] ? key[a] > key[b] : a < b; };
-        std::nth_element(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(survivors), order.end(), better);
-        order.erase(order.begin(), order.begin() + static_cast<std::ptrdiff_t>(survivors));
-        std::sort(order.begin(), order.end());
-        return order;
+        return gone;
     }
 
     // Section 4.3.3 for every member that has seen enough, remembered in the image.
