@@ -1,0 +1,244 @@
+"""What the sampler's tests share, each as a fixture: a NumPy twin of the Sobol points, renderers that cost nothing and
+are functions of the batch alone, an oracle that recomputes the film in float64, and ways of driving a sampler.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmc_sampler import Batch, Budget, Config, Sampler
+
+Radiance = Callable[[Batch], np.ndarray]
+Words = Any  # whatever broadcasts to an array of uint32
+
+
+# --- Sobol points by hash: doi Burley 2020 (JCGT 9(4)), with lowbias32 for keys --------------------------------------
+def hash32(x: Words) -> np.ndarray:
+    x = np.asarray(x, np.uint32)
+    with warnings.catch_warnings():  # scalars warn where arrays wrap in silence
+        warnings.simplefilter("ignore", RuntimeWarning)
+        x = (x ^ (x >> np.uint32(16))) * np.uint32(0x7FEB352D)
+        x = (x ^ (x >> np.uint32(15))) * np.uint32(0x846CA68B)
+    return x ^ (x >> np.uint32(16))
+
+
+def mix(a: Words, b: Words) -> np.ndarray:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return hash32(np.asarray(a, np.uint32) ^ hash32(np.asarray(b, np.uint32) + np.uint32(0x9E3779B9)))
+
+
+def reverse_bits(x: Words) -> np.ndarray:
+    """By way of text: slow, and unlike the core's."""
+    x = np.atleast_1d(np.asarray(x, np.uint32))
+    bits = np.unpackbits(x.astype(">u4").view(np.uint8).reshape(-1, 4), axis=1)
+    return np.packbits(bits[:, ::-1], axis=1).view(">u4").astype(np.uint32).reshape(x.shape)
+
+
+def owen_reversed(x: Words, key: Words) -> np.ndarray:
+    x, key = np.asarray(x, np.uint32), np.asarray(key, np.uint32)
+    x = x ^ x * np.uint32(0x3D20ADEA)
+    x = (x + key) * ((key >> np.uint32(16)) | np.uint32(1))
+    x = x ^ x * np.uint32(0x05526C56)
+    return x ^ x * np.uint32(0x53A22864)
+
+
+def second_sobol_matrix() -> np.ndarray:
+    """Generator columns of the second Sobol dimension (primitive polynomial x + 1): v_k = v_{k-1} xor v_{k-1} / 2."""
+    columns = [1 << 31]
+    for _ in range(31):
+        columns.append(columns[-1] ^ (columns[-1] >> 1))
+    return np.array(columns, np.uint64).astype(np.uint32)
+
+
+def sobol_pair(scramble: Words, index: Words, pair: Words) -> np.ndarray:
+    """Points (n, 2) float32, through the generator matrix where the core uses a closed form."""
+    scramble, index = np.atleast_1d(np.asarray(scramble, np.uint32)), np.atleast_1d(np.asarray(index, np.uint32))
+    key = np.broadcast_to(mix(scramble, pair), index.shape)
+    shuffled = reverse_bits(owen_reversed(reverse_bits(index), key))
+    second = np.zeros_like(shuffled)
+    for bit, column in enumerate(second_sobol_matrix()):
+        second ^= np.where((shuffled >> np.uint32(bit)) & np.uint32(1), column, np.uint32(0))
+    x = reverse_bits(owen_reversed(shuffled, hash32(key ^ np.uint32(0x68BC21EB))))
+    y = reverse_bits(owen_reversed(reverse_bits(second), hash32(key ^ np.uint32(0x02E5BE93))))
+    return (np.stack([x, y], axis=1) >> np.uint32(8)).astype(np.float32) * np.float32(2.0**-24)
+
+
+# --- Renderers -------------------------------------------------------------------------------------------------------
+def noise(batch: Batch, salt: int = 0) -> np.ndarray:
+    """Independent uniform numbers in [0, 1), a function of (scramble, index, salt)."""
+    return hash32(mix(batch.scramble, salt) ^ hash32(batch.index)) / 2.0**32
+
+
+def rgb(grey: np.ndarray) -> np.ndarray:
+    """Three unequal channels in proportion to `grey`."""
+    return (grey[:, None] * np.array([1.0, 0.5, 2.0])).astype(np.float32)
+
+
+def constant(batch: Batch) -> np.ndarray:
+    return np.tile(np.array([0.7, 0.3, 0.1], np.float32), (len(batch), 1))
+
+
+def black(batch: Batch) -> np.ndarray:
+    return np.zeros((len(batch), 3), np.float32)
+
+
+def textured(batch: Batch) -> np.ndarray:
+    """Mean and noise differ from pixel to pixel, channels from one another."""
+    strength = (hash32(batch.pixel) / 2.0**32)[:, None] * np.array([1.0, 0.3, 2.0])
+    return (0.1 + strength * np.stack([noise(batch, c) for c in range(3)], axis=1) ** 3).astype(np.float32)
+
+
+def spikes(batch: Batch) -> np.ndarray:
+    """One sample in 64 is 64 times brighter; the mean is 1 everywhere."""
+    return rgb(np.where(noise(batch) < 1 / 64, 32.0, 32 / 63))
+
+
+def right_half(width: int, image: Radiance = textured) -> Radiance:
+    """Black left of the middle."""
+
+    def render(batch: Batch) -> np.ndarray:
+        return image(batch) * (batch.pixel % width >= width // 2)[:, None]
+
+    return render
+
+
+# --- The oracle ------------------------------------------------------------------------------------------------------
+class Oracle:
+    """Every picture of the film from all batches told, in float64."""
+
+    def __init__(self, sampler: Sampler) -> None:
+        self.sampler = sampler
+        self.batches: dict[int, tuple[Batch, np.ndarray]] = {}
+
+    def watch(self, radiance: Radiance) -> Radiance:
+        """A renderer that gives the same and is remembered; for one that is told all that it renders."""
+
+        def render(batch: Batch) -> np.ndarray:
+            values = radiance(batch)
+            self.add(batch, values)
+            return values
+
+        return render
+
+    def add(self, batch: Batch, radiance: np.ndarray) -> None:
+        self.batches[batch.number] = (batch, np.array(radiance))
+
+    def joined(self) -> SimpleNamespace:
+        """The samples of all batches in the order of their numbers."""
+        told = [self.batches[number] for number in sorted(self.batches)]
+        names = ("positions", "pixel", "index", "scramble")
+        arrays = {name: np.concatenate([getattr(batch, name) for batch, _ in told]) for name in names}
+        return SimpleNamespace(radiance=np.concatenate([values for _, values in told]).astype(np.float64), **arrays)
+
+    def pictures(self) -> dict[str, np.ndarray]:
+        s = self.sampler
+        pixels, shape = s.width * s.height, (s.height, s.width)
+        all_ = self.joined()
+        rgb_, finite = all_.radiance[:, :3], np.isfinite(all_.radiance).all(axis=1)
+        valid = finite & (rgb_ >= 0).all(axis=1)
+        order = np.flatnonzero(valid)[np.argsort(all_.pixel[valid], kind="stable")]
+        pixel, values = all_.pixel[order], all_.radiance[order]
+        pool = all_.scramble[order] == pool_scramble(s)[pixel]
+
+        def count(mask: np.ndarray) -> np.ndarray:
+            return np.bincount(pixel[mask], minlength=pixels)
+
+        def mean(mask: np.ndarray, array: np.ndarray = values) -> np.ndarray:
+            sums = [np.bincount(pixel[mask], array[mask, c], pixels) for c in range(array.shape[1])]
+            return np.stack(sums, axis=1) / np.maximum(count(mask), 1)[:, None] if sums else np.zeros((pixels, 0))
+
+        every = np.ones(len(pixel), bool)
+        samples = count(every)
+        rank = np.arange(len(pixel)) - (np.cumsum(samples) - samples)[pixel]
+        average = mean(every)
+        squares = mean(every, (values - average[pixel]) ** 2)[:, :3]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            error = np.where(samples[:, None] > 1, np.sqrt(squares / (samples[:, None] - 1.0)), np.inf)
+        return {
+            "samples": samples.reshape(shape),
+            "pool_samples": count(pool).reshape(shape),
+            "plain_mean": average[:, :3].reshape(*shape, 3),
+            "standard_error": error.reshape(*shape, 3),
+            "pool_mean": mean(pool)[:, :3].reshape(*shape, 3),
+            "first_half": mean(rank % 2 == 0)[:, :3].reshape(*shape, 3),
+            "second_half": mean(rank % 2 == 1)[:, :3].reshape(*shape, 3),
+            "aovs": average[:, 3:].reshape(*shape, -1),
+            "rejected": np.array((~valid).sum()),
+        }
+
+
+def pool_scramble(sampler: Sampler) -> np.ndarray:
+    """The scramble of each pixel's pool sequence, (pixels,): that of a uniform sampler of the same size and seed."""
+    uniform = Sampler(sampler.width, sampler.height, Budget(spp=1), Config.uniform(batch=2**31), seed=sampler.seed)
+    batch = uniform.ask()
+    result = np.zeros(sampler.width * sampler.height, np.uint32)
+    result[batch.pixel] = batch.scramble
+    return result
+
+
+# --- Driving and comparing -------------------------------------------------------------------------------------------
+def shuffled(sampler: Sampler, radiance: Radiance, rng: np.random.Generator, until: int | None = None) -> list[Batch]:
+    """Asks and tells at random, as many open and in any order as there may be; what is left open at the end."""
+    open_: list[Batch] = []
+    while not sampler.done and (until is None or sampler.samples < until):
+        if not open_ or rng.random() < 0.7:
+            try:
+                open_.append(sampler.ask())
+                continue
+            except RuntimeError:
+                assert open_, "nothing is open, and still ask refuses"
+        batch = open_.pop(rng.integers(len(open_)))
+        sampler.tell(batch, radiance(batch))
+    return open_
+
+
+def state(sampler: Sampler) -> dict[str, bytes]:
+    """All that a sampler would save, but for the clock."""
+    return {name: block.tobytes() for name, block in sampler._native.save().items() if name != "sampler.seconds"}
+
+
+def pictures(sampler: Sampler) -> dict[str, bytes]:
+    """Every picture of the film, bit for bit."""
+    film = sampler.film
+    names = ("mean", "plain_mean", "pool_mean", "standard_error", "samples", "strategy", "beta", "alpha", "aovs")
+    images = {name: getattr(film, name) for name in names}
+    images["first"], images["second"] = film.halves
+    images["counts"] = np.array([sampler.samples, sampler.rejected])
+    return {name: image.tobytes() for name, image in images.items()}
+
+
+@pytest.fixture(scope="session")
+def twin() -> SimpleNamespace:
+    return SimpleNamespace(
+        hash32=hash32, mix=mix, sobol_pair=sobol_pair, reverse_bits=reverse_bits, owen_reversed=owen_reversed
+    )
+
+
+@pytest.fixture(scope="session")
+def renderers() -> SimpleNamespace:
+    return SimpleNamespace(
+        noise=noise,
+        rgb=rgb,
+        constant=constant,
+        black=black,
+        textured=textured,
+        spikes=spikes,
+        right_half=right_half,
+    )
+
+
+@pytest.fixture(scope="session")
+def oracle() -> type[Oracle]:
+    return Oracle
+
+
+@pytest.fixture(scope="session")
+def tools() -> SimpleNamespace:
+    return SimpleNamespace(shuffled=shuffled, state=state, pictures=pictures, pool_scramble=pool_scramble)
