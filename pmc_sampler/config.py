@@ -154,6 +154,10 @@ class Config:
         """Every setting, as from_dict takes them."""
         return {**dataclasses.asdict(self), "radii": None if self.radii is None else list(self.radii)}
 
+    def resolved(self, width: int, height: int) -> Config:
+        """The same settings with the radii that a sampler of that size uses. Raises ValueError where they do not fit it."""
+        return dataclasses.replace(self, radii=tuple(self._native().resolved(width, height).radii))
+
     def _native(self) -> _core.Config:
         native = _core.Config()
         for field in dataclasses.fields(self):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from . import loading, variants
+from . import blocks, loading, variants
 from .rays import Evaluator
 from .samplers import KINDS
 
@@ -134,7 +134,7 @@ class MitsubaRenderer:
             return out
         # One call at a time: the arrays below are Dr.Jit's until the result has been read. The variant has to
         # be the active one only while a function is recorded, but nobody can tell beforehand when that is.
-        with self._lock, variants.active(self.variant):
+        with self._lock, variants.active(self.variant), blocks.divided(len(out)):
             columns = (
                 self._types.Float(self._aligned("x", positions[:, 0], np.float32)),
                 self._types.Float(self._aligned("y", positions[:, 1], np.float32)),

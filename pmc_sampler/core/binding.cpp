@@ -79,7 +79,7 @@ NB_MODULE(_core, m) {
         FIELD(correction) FIELD(correction_sigma) FIELD(correction_knee)
 #undef FIELD
         .def("check", nb::overload_cast<>(&pmc::Config::check, nb::const_))
-        .def("check_image", nb::overload_cast<std::uint32_t, std::uint32_t>(&pmc::Config::check, nb::const_));
+        .def("resolved", &pmc::Config::resolved);
 
     nb::class_<pmc::Budget>(m, "Budget")
         .def(nb::init<>())

@@ -14,7 +14,7 @@ from pmc_sampler import Config
 
 pytestmark = pytest.mark.needs("skimage", "flip_evaluator")
 
-METHODS = (benchmark.BASELINE, benchmark.STRATIFIED, benchmark.Method("default", Config(), "sobol"))
+METHODS = (benchmark.BASELINE, benchmark.STRATIFIED, benchmark.Method("default", lambda w, h: Config(), "sobol"))
 PLAN = benchmark.Plan(scenes=("one", "two"), width=24, height=20, spp=4, seeds=2, reference_spp=64, methods=METHODS)
 
 
