@@ -1,0 +1,39 @@
+"""How a batch is divided among processors: exact, and without a trace in values or in Dr.Jit's settings."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.needs("mitsuba")
+
+
+@pytest.mark.parametrize(
+    ("samples", "threads", "size"),
+    [(76800, 2, 2048), (76800, 16, 256), (307200, 16, 1024), (33_177_600, 16, 16384), (2, 1, 256), (0, 0, 256)],
+)
+def test_block_size(samples: int, threads: int, size: int) -> None:
+    from pmc_sampler.adapters.mitsuba.blocks import block_size
+
+    assert block_size(samples, threads) == size
+
+
+def test_values_and_settings_stay(small_scene: Any, batch_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pmc_sampler.adapters.mitsuba import MitsubaRenderer, blocks
+
+    functions = blocks._functions()
+    assert functions is not None, "this Dr.Jit has the functions under other names: see drjit-core/jit.h"
+    get, _ = functions
+    r, batch = MitsubaRenderer(small_scene()), batch_of(32, 32, 20, 1)
+    before = get()
+    divided = r(batch)
+    assert get() == before
+    with blocks.divided(1 << 16):
+        assert get() < before
+    monkeypatch.setattr(blocks, "_functions", lambda: None)
+    assert np.array_equal(r(batch), divided)
+    with pytest.raises(ZeroDivisionError), blocks.divided(1 << 16):
+        _ = 1 / 0
+    assert get() == before
