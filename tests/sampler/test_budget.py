@@ -178,7 +178,7 @@ def test_visible_noise_ends_a_run(config: Config, renderers: SimpleNamespace) ->
 
 
 def test_visible_noise_is_the_share_above_tvi(renderers: SimpleNamespace) -> None:
-    """Against the definition, in float64: pixels within 0.1 % of the threshold may fall on either side."""
+    """Against the definition, in float64: pixels within 0.2 % of the threshold may fall on either side."""
     config = Config(white_luminance=30.0)
     sampler = Sampler(50, 40, Budget(spp=10), config, seed=3)
     sampler.run(renderers.textured)
@@ -197,7 +197,7 @@ def test_visible_noise_is_the_share_above_tvi(renderers: SimpleNamespace) -> Non
     error = np.sqrt(np.bincount(pixel, deviation**2, 2000) / (n * (n - 1.0)))
     ratio = 30.0 * error / tvi(30.0 * mean.ravel())
     low, high = np.mean(ratio > 1.002), np.mean(ratio > 0.998)
-    assert low <= sampler.visible_noise <= high
+    assert low - 1e-9 <= sampler.visible_noise <= high + 1e-9
     assert high - low < 0.01
 
 

@@ -1,5 +1,5 @@
-"""The image is a function of (radiance, config, seed, budget in samples) alone: not of threads, of the order of answers,
-of interruptions or of when the sampler was saved. All exact: every picture and all saved state, bit for bit.
+"""The image is a function of (radiance, config, seed, budget in samples) alone: not of threads, of the order of
+answers, of interruptions or of when the sampler was saved. All exact: every picture and all saved state, bit for bit.
 """
 
 from __future__ import annotations

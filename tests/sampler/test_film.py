@@ -1,0 +1,188 @@
+"""The film against an oracle that recomputes every picture in float64 from all that was told. Tolerances are those of
+the film's storage: sums of radiance in double precision, deviations and running means in single.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pmc_sampler import Batch, Budget, Config, Film, Sampler, _core, luminance, tvi
+
+CONFIGS: dict[str, Config] = {
+    "default": Config(initial_spp=3.0),
+    "uniform": Config.uniform(batch=700),
+    "population": Config(
+        direct_share=0.0, moves=4, radii=(1.0, 3.0, 8.0), eliminate=0.4, regenerate_pool=0.5, batch=900
+    ),
+    "paper": Config.paper(population=100, radii=(2.0, 5.0, 9.0)),
+    "no pool": Config(initial_spp=0.0, pool_share=0.0, regenerate_pool=0.2, adapt_beta_every=3),
+}
+
+
+def with_aovs(image: Any, noise: Any) -> Any:
+    """Two channels more: one of either sign, one constant."""
+
+    def render(batch: Batch) -> np.ndarray:
+        extra = np.stack([noise(batch, 9) - 0.5, np.full(len(batch), 3.0)], axis=1)
+        return np.concatenate([image(batch), extra], axis=1).astype(np.float32)
+
+    return render
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_pictures(name: str, renderers: SimpleNamespace, oracle: Any) -> None:
+    sampler = Sampler(43, 30, Budget(spp=20), CONFIGS[name], seed=2, aovs=2)
+    truth = oracle(sampler)
+    sampler.run(truth.watch(with_aovs(renderers.textured, renderers.noise)))
+    expected, film = truth.pictures(), sampler.film
+    assert np.array_equal(film.samples, expected["samples"])
+    np.testing.assert_allclose(film.plain_mean, expected["plain_mean"], rtol=1e-7, atol=0)
+    np.testing.assert_allclose(film.aovs, expected["aovs"], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(film.standard_error, expected["standard_error"], rtol=1e-4, atol=0)
+    np.testing.assert_allclose(film.pool_mean, expected["pool_mean"], rtol=1e-5, atol=0)
+    first, second = film.halves
+    np.testing.assert_allclose(first, expected["first_half"], rtol=1e-5, atol=0)
+    np.testing.assert_allclose(second, expected["second_half"], rtol=1e-4, atol=1e-6)
+    n = film.samples[..., None].astype(np.float64)
+    together = (np.ceil(n / 2) * first + np.floor(n / 2) * second) / np.maximum(n, 1)
+    np.testing.assert_allclose(together, film.plain_mean, rtol=1e-5, atol=0)
+
+
+def test_oracle_sees_a_lost_batch(renderers: SimpleNamespace, oracle: Any) -> None:
+    """The negative control: told one batch less, the oracle disagrees."""
+    sampler = Sampler(43, 30, Budget(spp=20), CONFIGS["default"], seed=2)
+    truth = oracle(sampler)
+    sampler.run(truth.watch(renderers.textured))
+    del truth.batches[2]
+    assert not np.array_equal(sampler.film.samples, truth.pictures()["samples"])
+
+
+def test_shapes_and_types() -> None:
+    film = Sampler(7, 5, Budget(spp=4), Config(radii=(1.0, 2.0)), aovs=3).film
+    assert isinstance(film, Film)
+    shapes = {"samples": (5, 7), "beta": (5, 7), "alpha": (5, 7, 2), "aovs": (5, 7, 3)}
+    for name in ("mean", "plain_mean", "pool_mean", "standard_error", "strategy", "samples", "beta", "alpha", "aovs"):
+        picture = getattr(film, name)
+        assert picture.shape == shapes.get(name, (5, 7, 3)), name
+        assert picture.dtype == (np.uint32 if name == "samples" else np.float32), name
+        picture[...] = 7  # the caller's to keep
+        assert not np.array_equal(getattr(film, name), picture), name
+    assert np.isinf(film.standard_error).all()
+    assert (film.mean == 0).all()
+    assert np.allclose(film.alpha, 0.5)
+    assert all(half.shape == (5, 7, 3) for half in film.halves)
+    assert Sampler(7, 5, Budget(spp=4)).film.aovs.shape == (5, 7, 0)
+
+
+def test_film_is_small() -> None:
+    """96 bytes a pixel, without AOVs and the sums of tiles: 10 bytes for 256 pixels, and 12 of alpha for 64."""
+    assert _core.film_bytes_per_pixel <= 96
+    blocks = Sampler(64, 64, Budget(spp=1))._native.save()
+    film = {name: block.nbytes for name, block in blocks.items() if name.startswith(("film.", "alpha."))}
+    assert sum(film.values()) <= (96 + 10 / 256 + 12 / 64) * 64 * 64 + 64
+
+
+def test_a_large_mean_with_a_tiny_spread_loses_nothing(oracle: Any, renderers: SimpleNamespace) -> None:
+    """Values in 1000 to 1000.001, at the resolution of floats: the textbook sum of squares would find noise alone."""
+
+    def bright(batch: Batch) -> np.ndarray:
+        return renderers.rgb(1000.0 + 0.001 * renderers.noise(batch))  # type: ignore[no-any-return]
+
+    sampler = Sampler(20, 20, Budget(spp=30), Config.uniform(), seed=1)
+    truth = oracle(sampler)
+    sampler.run(truth.watch(bright))
+    np.testing.assert_allclose(sampler.film.standard_error, truth.pictures()["standard_error"], rtol=1e-4)
+
+
+def test_strategy_is_who_proposed(renderers: SimpleNamespace) -> None:
+    """Brightness is the sample count; with one radius, red; where no kernel proposes, grey."""
+    red = Sampler(30, 20, Budget(spp=8), Config(radii=(2.0,), initial_spp=2.0), seed=1)
+    red.run(renderers.textured)
+    picture = red.film.strategy
+    density = red.film.samples / red.film.samples.max()
+    np.testing.assert_allclose(picture.sum(axis=2), density, rtol=1e-6)
+    coloured = picture[..., 1] == 0
+    assert coloured.mean() > 0.5
+    assert (picture[..., 2][coloured] == 0).all()
+    np.testing.assert_allclose(picture[..., 0][coloured], density[coloured], rtol=1e-6)
+    grey = Sampler(30, 20, Budget(spp=8), Config.uniform(), seed=1)
+    grey.run(renderers.textured)
+    np.testing.assert_allclose(grey.film.strategy, 1 / 3, rtol=1e-6)
+    assert (Sampler(30, 20, Budget(spp=8)).film.strategy == 0).all()
+
+
+# --- beta ------------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("rule", ["gain", "variance"])
+def test_beta_follows_its_equation(rule: str, renderers: SimpleNamespace, oracle: Any) -> None:
+    """var / (tvi^2 n^2), or var / tvi, both with the luminance in cd/m2 and back; 0.1 % for the table of tvi, whose two
+    jumps are left out, and for the sums.
+    """
+    config = Config(beta=rule, initial_spp=8.0, white_luminance=50.0, lookahead=0)
+    sampler = Sampler(43, 30, Budget(spp=64), config, seed=2)
+    truth = oracle(sampler)
+    while sampler.samples < 8 * 43 * 30:  # no batch has been drawn from beta: none counts as under way
+        batch = sampler.ask()
+        sampler.tell(batch, truth.watch(renderers.textured)(batch))
+    told = truth.joined()
+    y = luminance(told.radiance)
+    n = np.bincount(told.pixel)
+    mean = np.bincount(told.pixel, y) / n
+    variance = np.bincount(told.pixel, (y - mean[told.pixel]) ** 2) / (n - 1)
+    threshold = tvi(50.0 * mean) / 50.0
+    expected = variance / (threshold**2 * n**2 if rule == "gain" else threshold)
+    log = np.log10(50.0 * mean)
+    smooth = (abs(log + 1.44) > 0.02) & (abs(log - 1.9) > 0.02)
+    np.testing.assert_allclose(sampler.film.beta.ravel()[smooth], expected[smooth], rtol=3e-3)
+    assert smooth.mean() > 0.9
+
+
+# --- The energy correction -------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("sigma", [0.5, 4.0, 12.0, 200.0])
+@pytest.mark.parametrize("size", [(64, 48), (37, 61), (5, 3)])
+def test_correction_has_the_sum_of_the_pool(size: tuple[int, int], sigma: float, renderers: SimpleNamespace) -> None:
+    """Exactly but for floats, where every pixel has samples of the pool and nothing is kept from going below 0."""
+    config = Config(correction_sigma=sigma, initial_spp=2.0, radii=(1.0, 2.0))
+    sampler = Sampler(*size, Budget(spp=16), config, seed=3)
+    sampler.run(renderers.textured)
+    film = sampler.film
+    assert film.mean.min() > 0
+    corrected, pool = film.mean.sum((0, 1), dtype=np.float64), film.pool_mean.sum((0, 1), dtype=np.float64)
+    np.testing.assert_allclose(corrected, pool, rtol=1e-5)
+    plain = film.plain_mean.sum((0, 1), dtype=np.float64)
+    assert abs(plain / pool - 1).max() > 1e-4, "the plain mean does too: this test shows nothing"
+
+
+def test_strength_of_the_correction(renderers: SimpleNamespace) -> None:
+    """Linear from the plain mean at 0 to the corrected one at 1."""
+    images = {}
+    for strength in (0.0, 0.5, 1.0):
+        sampler = Sampler(40, 30, Budget(spp=8), Config(correction=strength, initial_spp=2.0), seed=3)
+        sampler.run(renderers.textured)
+        images[strength] = sampler.film.mean
+    assert np.array_equal(images[0.0], sampler.film.plain_mean)
+    np.testing.assert_allclose(images[0.5], (images[0.0] + images[1.0]) / 2, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_constant_images_stay_as_they_are(name: str, renderers: SimpleNamespace) -> None:
+    sampler = Sampler(43, 30, Budget(spp=9), CONFIGS[name], seed=2)
+    sampler.run(renderers.constant)
+    seen = sampler.film.samples > 0
+    assert np.array_equal(sampler.film.mean, sampler.film.plain_mean)
+    assert (sampler.film.mean[seen] == np.array([0.7, 0.3, 0.1], np.float32)).all()
+
+
+def test_black_stays_black(renderers: SimpleNamespace) -> None:
+    """Alone, and in the dark half beside a bright one, where the correction moves much radiance about."""
+    black = Sampler(40, 30, Budget(spp=9), seed=2)
+    black.run(renderers.black)
+    assert (black.film.mean == 0).all()
+    half = Sampler(40, 30, Budget(spp=9), Config(initial_spp=2.0), seed=2)
+    half.run(renderers.right_half(40, renderers.spikes))
+    assert (half.film.mean[:, :20] == 0).all()
+    assert half.film.mean[:, 20:].min() >= 0
+    assert not np.array_equal(half.film.mean[:, 20:], half.film.plain_mean[:, 20:])
