@@ -115,7 +115,7 @@ private:
 
     void arrange_tile(std::uint32_t tile, Film& film, float passes, Batch& batch) {
         const std::size_t begin = starts_[tile], end = starts_[tile + 1];
-        std::uint32_t next[Tiling::area] = {};
+        std::uint32_t next[Tiling::area] = {}, more[Tiling::area] = {};
         const std::uint32_t base = tile * Tiling::area, x0 = tiling_.x(base), y0 = tiling_.y(base);
         for (std::size_t i = begin; i < end; ++i) ++next[entries_[i].local];
         std::uint32_t place = static_cast<std::uint32_t>(begin);
@@ -131,16 +131,16 @@ private:
             batch.tag[p] = e.tag;
             batch.pixel[p] = (y0 + e.local / Tiling::side) * tiling_.width + x0 + e.local % Tiling::side;
             // The pool visits a pixel once in a pass; the adaptive sequence goes on from its last sample.
-            batch.index[p] = (e.tag & Tag::pool) ? e.pass : film.drawn[base + e.local]++;
+            const bool adaptive = !(e.tag & Tag::pool);
+            const std::uint32_t drawn = film.drawn[base + e.local];
+            batch.index[p] = adaptive ? drawn : e.pass;
+            film.drawn[base + e.local] = drawn + adaptive;
+            more[e.local] += adaptive;
             if (e.proposal - batch.first < batch.iteration_samples) batch.place[e.proposal - batch.first] = p;
         }
         if (film.live() && passes > 0.0f) {
-            for (std::size_t i = begin; i < end;) {
-                std::uint32_t more = 0;
-                const std::uint32_t slot = batch.slot[i];
-                for (; i < end && batch.slot[i] == slot; ++i) more += !(batch.tag[i] & Tag::pool);
-                if (more) film.anticipate(slot, more, passes);
-            }
+            for (std::uint32_t local = 0; local < Tiling::area; ++local)
+                if (more[local]) film.anticipate(base + local, more[local], passes);
             film.weigh_tile(tile);
         }
         draw_places(&batch.pixel[begin], &batch.index[begin], &batch.tag[begin], end - begin, keys_, &batch.scramble[begin], &batch.positions[begin]);

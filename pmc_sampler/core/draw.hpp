@@ -27,9 +27,10 @@ inline bool Sampler::prepare() {
     batch->owner = id_;
     pool_slots_.clear();
     pool_passes_.clear();
+    direct_slots_.clear();
     if (issued_ < initial_ || config.is_uniform()) {
         const std::uint64_t room = config.is_uniform() ? left : initial_ - issued_;
-        fill(*batch, std::min({left, room, batch_size()}), 0, nullptr);
+        fill(*batch, std::min({left, room, batch_size()}));
     } else {
         const SystematicDraw beta(film_, threads_);
         draw_adaptive(*batch, left, beta);
@@ -47,8 +48,9 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const Syste
     const double own_share = (1.0 - config.pool_share) * (1.0 - config.direct_share);
     std::uint64_t size = std::min(left, batch_size());
     const auto share_of = [](double share, std::uint64_t n) { return static_cast<std::uint64_t>(std::llround(share * static_cast<double>(n))); };
+    std::vector<std::uint32_t> replaced;
     if (own_share > 0.0) {
-        regenerate(batch, share_of(own_share, batch_size()), beta);
+        replaced = resample(batch, share_of(own_share, batch_size()));
         const std::uint64_t own = population_of(batch.number).members.size() * config.moves + batch.evaluated.size();
         // A population whose members neither move nor are replaced this time leaves the batch to beta and the pool.
         if (config.population && own) size = std::min(left, static_cast<std::uint64_t>(std::llround(static_cast<double>(own) / own_share)));
@@ -56,13 +58,26 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const Syste
         batch.iteration_samples = config.population && size < left ? own : std::min(own, share_of(own_share, size));
     }
     const bool known = beta.total() > 0.0;
-    std::uint64_t pool = std::min(share_of(config.pool_share, size), size - batch.iteration_samples);
-    std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
-    fill(batch, size, direct, &beta);
+    const std::uint64_t pool = std::min(share_of(config.pool_share, size), size - batch.iteration_samples);
+    const std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
+    const std::uint64_t members = known ? replaced.size() - share_of(config.regenerate_pool, replaced.size()) : 0;
+    // One pass over beta serves both: of the draws, evenly spaced ones place members, the others are samples themselves.
+    drawn_slots_.resize(members + direct);
+    if (members + direct) beta(members + direct, Stream(seed, stream::offset, batch.number).uniform(0), drawn_slots_.data(), threads_);
+    member_slots_.clear();
+    direct_slots_.clear();
+    for (std::uint64_t i = 0, placed = 0; i < members + direct; ++i) {
+        const bool member = (i + 1) * members / (members + direct) > placed;
+        placed += member;
+        (member ? member_slots_ : direct_slots_).push_back(drawn_slots_[i]);
+    }
+    regenerate(batch, replaced);
+    fill(batch, size);
 }
 
-// One resampling of the population whose turn it is (paper, Figure 2): adapt, eliminate, regenerate.
-inline void Sampler::regenerate(Batch& batch, std::uint64_t room, const SystematicDraw& beta) {
+// Resampling of the population whose turn it is (paper, Figure 2): adapt, eliminate. The members to replace, and in
+// batch.evaluated those of them that are evaluated where they are put.
+inline std::vector<std::uint32_t> Sampler::resample(Batch& batch, std::uint64_t room) {
     Population& population = population_of(batch.number);
     std::vector<std::uint32_t> replaced;
     double evaluated_share = config.evaluate_regenerated ? 1.0 : 0.0;
@@ -80,30 +95,34 @@ inline void Sampler::regenerate(Batch& batch, std::uint64_t room, const Systemat
         for (const std::uint32_t m : replaced) Population::adapt(population.members[m], config, memory_);
     }
     ++population.iteration;
-
-    const std::size_t n = replaced.size();
-    const bool known = beta.total() > 0.0;
-    const std::size_t by_pool = known ? static_cast<std::size_t>(std::llround(config.regenerate_pool * static_cast<double>(n))) : n;
-    const std::size_t by_beta = n - by_pool;
-    const Stream place(seed, stream::place, batch.number);
-    drawn_slots_.resize(n);
-    if (by_beta) beta(by_beta, Stream(seed, stream::offset, batch.number).uniform(0), drawn_slots_.data(), threads_);
-    // Where all are evaluated, those that the pool placed are samples of the pool's stream.
     if (evaluated_share >= 1.0) {
-        const auto pool_before = static_cast<std::ptrdiff_t>(pool_slots_.size());
-        from_pool(by_pool);
-        std::copy(pool_slots_.begin() + pool_before, pool_slots_.end(), drawn_slots_.data() + by_beta);
-    } else {
-        std::size_t next = by_beta;
-        placement_.take(by_pool, [&](std::uint32_t slot, std::uint32_t) { drawn_slots_[next++] = slot; });
+        batch.evaluated = replaced;
+    } else if (evaluated_share > 0.0) {
+        for (std::size_t i = 0; i < replaced.size(); ++i)
+            if (std::floor(static_cast<double>(i + 1) * evaluated_share) > std::floor(static_cast<double>(i) * evaluated_share))
+                batch.evaluated.push_back(replaced[i]);
     }
+    return replaced;
+}
+
+// Puts the replaced members at the pixels that beta gave (member_slots_), the rest of them where the pool says.
+inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced) {
+    Population& population = population_of(batch.number);
+    const std::size_t n = replaced.size(), by_beta = member_slots_.size();
+    if (batch.evaluated.size() == n) {  // where all are evaluated, those that the pool places are samples of its stream
+        from_pool(n - by_beta);
+        member_slots_.insert(member_slots_.end(), pool_slots_.begin(), pool_slots_.end());
+    } else {
+        placement_.take(n - by_beta, [&](std::uint32_t slot, std::uint32_t) { member_slots_.push_back(slot); });
+    }
+    const Stream place(seed, stream::place, batch.number);
     const auto jitter = static_cast<float>(config.regenerate_jitter);
     const float width = static_cast<float>(film_.tiling.width), height = static_cast<float>(film_.tiling.height);
     threads_.ranges(n, 1024, [&](std::size_t first, std::size_t last) {
         for (std::size_t i = first; i < last; ++i) {
             const auto counter = static_cast<std::uint32_t>(i);
-            float x = static_cast<float>(film_.tiling.x(drawn_slots_[i])) + place.uniform(counter, 0);
-            float y = static_cast<float>(film_.tiling.y(drawn_slots_[i])) + place.uniform(counter, 1);
+            float x = static_cast<float>(film_.tiling.x(member_slots_[i])) + place.uniform(counter, 0);
+            float y = static_cast<float>(film_.tiling.y(member_slots_[i])) + place.uniform(counter, 1);
             if (jitter > 0.0f && i < by_beta) {
                 x += jitter * (2.0f * place.uniform(counter, 2) - 1.0f);
                 y += jitter * (2.0f * place.uniform(counter, 3) - 1.0f);
@@ -111,29 +130,21 @@ inline void Sampler::regenerate(Batch& batch, std::uint64_t room, const Systemat
             population.place(replaced[i], reflect(x, width), reflect(y, height), memory_);
         }
     });
-    if (evaluated_share >= 1.0) {
-        batch.evaluated = std::move(replaced);
-    } else if (evaluated_share > 0.0) {
-        for (std::size_t i = 0; i < n; ++i)
-            if (std::floor(static_cast<double>(i + 1) * evaluated_share) > std::floor(static_cast<double>(i) * evaluated_share))
-                batch.evaluated.push_back(replaced[i]);
-    }
 }
 
-// Lays out a batch of `size` samples: `direct` draws from beta, the population's (batch.iteration_samples of them: moves, then
-// regenerated members, those of the pool last), and the pool's for the rest.
-inline void Sampler::fill(Batch& batch, std::uint64_t size, std::uint64_t direct, const SystematicDraw* beta) {
+// Lays out a batch of `size` samples: the direct draws from beta, the population's (batch.iteration_samples of them: moves,
+// then regenerated members, those of the pool last), and the pool's for the rest.
+inline void Sampler::fill(Batch& batch, std::uint64_t size) {
     Population& population = population_of(batch.number);
-    const std::size_t own = batch.iteration_samples, moved = own ? population.members.size() * config.moves : 0;
+    const std::size_t own = batch.iteration_samples, direct = direct_slots_.size();
+    const std::size_t moved = own ? population.members.size() * config.moves : 0;
     const std::size_t placed = own ? batch.evaluated.size() : 0, in_pool = own ? pool_slots_.size() : 0;
     proposals_.slot.resize(direct + moved + placed + size);
     proposals_.tag.resize(direct + moved + placed + size);
     std::uint32_t* slot = proposals_.slot.data();
     std::uint8_t* tag = proposals_.tag.data();
-    if (direct) {
-        (*beta)(direct, Stream(seed, stream::offset, batch.number).uniform(1), slot, threads_);
-        std::fill_n(tag, direct, Tag::no_kernel);
-    }
+    std::copy(direct_slots_.begin(), direct_slots_.end(), slot);
+    std::fill_n(tag, direct, Tag::no_kernel);
     // Regenerated members are evaluated where they are now, before they move.
     std::size_t next = direct + moved;
     for (std::size_t i = 0; i + in_pool < placed; ++i, ++next) {

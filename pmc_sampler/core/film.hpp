@@ -113,7 +113,7 @@ public:
     void anticipate(std::size_t slot, std::uint32_t more, float passes) {
         if (rule_ != Beta::gain) return;
         const float after = static_cast<float>(drawn[slot]) + passes;
-        const float share = (after - static_cast<float>(more)) / after;
+        const float share = 1.0f - static_cast<float>(more) / after;
         beta_[slot] *= share * share;
     }
     bool live() const { return live_; }

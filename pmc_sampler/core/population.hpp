@@ -103,11 +103,12 @@ private:
     Zeroed<Alpha> cells_;
 };
 
-// A uniform point of the disk of radius r, by rejection from its square: cheaper than a sine and a cosine.
+// A uniform point of the disk of radius r, by rejection from its square: cheaper than a sine and a cosine. Half a word makes
+// each coordinate: steps of r / 32768.
 inline Point2 in_disk(const Stream& stream, std::uint32_t counter, std::uint32_t slot, float r) {
     for (std::uint32_t attempt = 0; attempt < 32; ++attempt) {
-        const float u = 2.0f * stream.uniform(counter, slot + 2 * attempt) - 1.0f;
-        const float v = 2.0f * stream.uniform(counter, slot + 2 * attempt + 1) - 1.0f;
+        const std::uint32_t word = stream.word(counter, slot + attempt);
+        const float u = (static_cast<float>(word >> 16) + 0.5f) * 0x1p-15f - 1.0f, v = (static_cast<float>(word & 0xffffu) + 0.5f) * 0x1p-15f - 1.0f;
         if (u * u + v * v <= 1.0f) return {u * r, v * r};
     }
     return {0.0f, 0.0f};  // once in 10^21
@@ -186,7 +187,7 @@ struct Population {
                 Member& member = members[m];
                 for (std::uint32_t t = 0; t < moves; ++t) {
                     const auto counter = static_cast<std::uint32_t>(m);
-                    const std::uint32_t draw = t * 128;  // words a move may use
+                    const std::uint32_t draw = t * 64;  // words a move may use
                     const float u = stream.uniform(counter, draw);
                     std::uint32_t k = 0;
                     for (float c = member.alpha[0]; k + 1 < kernels && u >= c; c += member.alpha[++k]) {

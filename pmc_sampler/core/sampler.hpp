@@ -57,14 +57,13 @@ public:
         if (done_ == Done::visible_noise) throw std::logic_error("ask: the visible noise is within its budget; read the film");
         // Batches told out of turn wait for the one that is due, and so must this one, which may not be drawn without it.
         if (prepared_.empty() && drawn_batches_ > told_ + config.lookahead)
-            throw std::logic_error("ask: " + std::to_string(open_.size()) + " batches are open" +
+            throw std::logic_error("ask: " + counted(open_.size()) + " open" +
                                    (waiting_.empty() ? "" : ", " + std::to_string(waiting_.size()) + " told out of turn wait for the first of them,") +
                                    " and lookahead is " + std::to_string(config.lookahead) + ": tell or drop batch " + std::to_string(told_) + " first");
         if (prepared_.empty()) prepare();
         if (prepared_.empty())
             throw std::logic_error(open_.empty() && waiting_.empty() ? "ask: the budget is spent; read the film, or make a sampler with a larger budget"
-                                                 : "ask: all samples of the budget are drawn and " + std::to_string(open_.size()) +
-                                                       " batches are open: tell or drop them");
+                                                 : "ask: all samples of the budget are drawn and " + counted(open_.size()) + " open: tell or drop what is open");
         auto batch = prepared_.front();
         prepared_.pop_front();
         open_[batch->number] = batch;
@@ -149,6 +148,7 @@ private:
         static std::atomic<std::uint64_t> counter{1};
         return counter;
     }
+    static std::string counted(std::size_t batches) { return batches == 1 ? "1 batch is" : std::to_string(batches) + " batches are"; }
     void start_clock() {
         if (!started_) started_ = Clock::now();
     }
@@ -208,8 +208,9 @@ private:
     bool prepare();
     std::uint64_t batch_size() const;
     void draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta);
-    void regenerate(Batch& batch, std::uint64_t room, const SystematicDraw& beta);
-    void fill(Batch& batch, std::uint64_t size, std::uint64_t direct, const SystematicDraw* beta);
+    std::vector<std::uint32_t> resample(Batch& batch, std::uint64_t room);
+    void regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced);
+    void fill(Batch& batch, std::uint64_t size);
     void from_pool(std::size_t count);
 
     ThreadPool threads_;
@@ -231,7 +232,7 @@ private:
 
     // Scratch of one draw and one tell.
     Proposals proposals_;
-    std::vector<std::uint32_t> pool_slots_, pool_passes_;
+    std::vector<std::uint32_t> pool_slots_, pool_passes_, member_slots_, direct_slots_;
     Buffer<std::uint32_t> drawn_slots_;
     Buffer<float> luminances_;
 };
