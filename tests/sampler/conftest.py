@@ -214,6 +214,23 @@ def pictures(sampler: Sampler) -> dict[str, bytes]:
     return {name: image.tobytes() for name, image in images.items()}
 
 
+RUNNING = np.dtype([("n", "f4"), ("mean", "f4"), ("m2", "f4")])
+MEMBER = np.dtype(
+    [("x", "f4"), ("y", "f4"), ("alpha", "f4", 3), ("rounds", "u4"), ("all", RUNNING), ("kernel", RUNNING, 3)]
+)
+
+
+def members(sampler: Sampler, population: int = 0) -> np.ndarray:
+    """A population as it would be saved."""
+    return sampler._native.save()[f"population{population}.members"].view(MEMBER)
+
+
+def proposals(sampler: Sampler) -> tuple[np.ndarray, np.ndarray]:
+    """Of the one open batch: where each proposal of the population lies in it, and each sample's kernel, 3 for none."""
+    blocks = sampler._native.save()
+    return blocks["untold0.place"].view(np.uint32), blocks["untold0.tag"] & 3
+
+
 @pytest.fixture(scope="session")
 def twin() -> SimpleNamespace:
     return SimpleNamespace(
@@ -241,4 +258,11 @@ def oracle() -> type[Oracle]:
 
 @pytest.fixture(scope="session")
 def tools() -> SimpleNamespace:
-    return SimpleNamespace(shuffled=shuffled, state=state, pictures=pictures, pool_scramble=pool_scramble)
+    return SimpleNamespace(
+        shuffled=shuffled,
+        state=state,
+        pictures=pictures,
+        pool_scramble=pool_scramble,
+        members=members,
+        proposals=proposals,
+    )
