@@ -2,6 +2,8 @@
 // rays, and a thread that owns a range of tiles owns their sums.
 #pragma once
 
+#include <algorithm>
+#include <bit>
 #include <cstddef>
 #include <cstdint>
 
@@ -26,6 +28,12 @@ struct Tiling {
     std::uint32_t y(std::uint32_t slot) const { return (slot / area) / columns * side + slot % area / side; }
     bool inside(std::uint32_t slot) const { return x(slot) < width && y(slot) < height; }
 };
+
+// corner + u, below corner + 1: the sum of two floats may round up to the next pixel, or out of the image.
+inline float in_pixel(std::uint32_t corner, float u) {
+    const float next = static_cast<float>(corner + 1), below = std::bit_cast<float>(std::bit_cast<std::uint32_t>(next) - 1);
+    return std::min(static_cast<float>(corner) + u, below);
+}
 
 // x folded into [0, size) by reflection at both borders, as often as it takes.
 inline float reflect(float x, float size) {
