@@ -71,7 +71,7 @@ class Config:
     batch: int | None = None
     initial_spp: float | None = None
     pool_share: float = 0.15
-    direct_share: float = 0.6
+    direct_share: float = 0.75
     lookahead: int = 1
     population: int | None = None
     moves: int = 2

@@ -2,7 +2,6 @@
 #pragma once
 
 #include <algorithm>
-#include <bit>
 #include <cstdint>
 #include <vector>
 
@@ -55,8 +54,8 @@ public:
     Arranger(const Tiling& tiling, std::uint32_t seed, Filter filter, double filter_radius)
         : tiling_(tiling), keys_(seed), filter_(filter, filter_radius) {}
 
-    // Advances film.drawn, and film.beta for what is now under way; `passes` of the pool are drawn.
-    void operator()(const Proposals& proposals, Film& film, float passes, Batch& batch, ThreadPool& threads) {
+    // Advances film.drawn.
+    void operator()(const Proposals& proposals, Film& film, Batch& batch, ThreadPool& threads) {
         const std::size_t n = proposals.size(), tiles = tiling_.tiles();
         const std::size_t first_pass = n - proposals.pass.size();
         // A stable counting sort by tile: one histogram for each chunk of proposals, so that the order is that of the proposals
@@ -97,7 +96,7 @@ public:
         batch.place.resize(batch.iteration_samples);
         threads.ranges(tiles, 4, [&](std::size_t first, std::size_t last) {
             for (std::size_t t = first; t < last; ++t)
-                if (starts_[t] < starts_[t + 1]) arrange_tile(static_cast<std::uint32_t>(t), film, passes, batch);
+                if (starts_[t] < starts_[t + 1]) arrange_tile(static_cast<std::uint32_t>(t), film, batch);
         });
     }
 
@@ -107,15 +106,10 @@ private:
         std::uint8_t local, tag;
     };
 
-    // corner + u, below corner + 1: the sum of two floats may round up to the next pixel, or out of the image.
-    static float inside(std::uint32_t corner, float u) {
-        const float next = static_cast<float>(corner + 1), below = std::bit_cast<float>(std::bit_cast<std::uint32_t>(next) - 1);
-        return std::min(static_cast<float>(corner) + u, below);
-    }
-
-    void arrange_tile(std::uint32_t tile, Film& film, float passes, Batch& batch) {
+    void arrange_tile(std::uint32_t tile, Film& film, Batch& batch) {
         const std::size_t begin = starts_[tile], end = starts_[tile + 1];
-        std::uint32_t next[Tiling::area] = {}, more[Tiling::area] = {};
+        std::uint32_t next[Tiling::area] = {};
+        film.touch(tile);
         const std::uint32_t base = tile * Tiling::area, x0 = tiling_.x(base), y0 = tiling_.y(base);
         for (std::size_t i = begin; i < end; ++i) ++next[entries_[i].local];
         std::uint32_t place = static_cast<std::uint32_t>(begin);
@@ -135,20 +129,14 @@ private:
             const std::uint32_t drawn = film.drawn[base + e.local];
             batch.index[p] = adaptive ? drawn : e.pass;
             film.drawn[base + e.local] = drawn + adaptive;
-            more[e.local] += adaptive;
             if (e.proposal - batch.first < batch.iteration_samples) batch.place[e.proposal - batch.first] = p;
-        }
-        if (film.live() && passes > 0.0f) {
-            for (std::uint32_t local = 0; local < Tiling::area; ++local)
-                if (more[local]) film.anticipate(base + local, more[local], passes);
-            film.weigh_tile(tile);
         }
         draw_places(&batch.pixel[begin], &batch.index[begin], &batch.tag[begin], end - begin, keys_, &batch.scramble[begin], &batch.positions[begin]);
         if (filter_.trivial()) {
             for (std::size_t p = begin; p < end; ++p) {
                 const std::uint32_t local = batch.slot[p] - base;
-                batch.positions[p].x = inside(x0 + local % Tiling::side, batch.positions[p].x);
-                batch.positions[p].y = inside(y0 + local / Tiling::side, batch.positions[p].y);
+                batch.positions[p].x = in_pixel(x0 + local % Tiling::side, batch.positions[p].x);
+                batch.positions[p].y = in_pixel(y0 + local / Tiling::side, batch.positions[p].y);
             }
         } else {
             for (std::size_t p = begin; p < end; ++p) {

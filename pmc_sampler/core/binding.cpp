@@ -116,7 +116,7 @@ NB_MODULE(_core, m) {
             return s.total() == pmc::Sampler::unlimited ? nb::none() : nb::object(nb::int_(s.total()));
         })
         .def_prop_ro("elapsed", &pmc::Sampler::elapsed)
-        .def("visible_noise", [](const pmc::Sampler& s) { return s.film().visible_noise(); })
+        .def("visible_noise", [](pmc::Sampler& s) { return s.film().visible_noise(s.threads()); })
         .def("mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::corrected_mean(s.film(), s.config, o, s.threads()); }); })
         .def("plain_mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::plain_mean(s.film(), o, s.threads()); }); })
         .def("standard_error", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::standard_error(s.film(), o, s.threads()); }); })
@@ -179,8 +179,8 @@ NB_MODULE(_core, m) {
         for (float& x : u) x = sample(x);
         return u;
     });
-    m.def("fast_tvi", [](float luminance) {
-        static const pmc::TviTable table;
+    m.def("inverse_square_tvi", [](float luminance) {
+        static const pmc::InverseSquareTvi table;
         return table(luminance);
     });
     m.attr("film_bytes_per_pixel") = std::size_t(pmc::Film::bytes_per_pixel);

@@ -31,7 +31,7 @@ struct Config {
     std::uint64_t batch = 0;        // samples in a batch; 0: see Sampler::batch_size(). Ignored where `population` sets the size
     double initial_spp = automatic; // samples a pixel from the pool before anything adapts
     double pool_share = 0.15;       // share of each batch from the stratified pool, in [0, 1]
-    double direct_share = 0.6;      // share of the rest drawn from beta and evaluated where drawn, in [0, 1]
+    double direct_share = 0.75;     // share of the rest drawn from beta and evaluated where drawn, in [0, 1]
     std::uint32_t lookahead = 1;    // batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]
 
     // The population (sections 4.1 and 4.3)

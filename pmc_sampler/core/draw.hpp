@@ -32,12 +32,11 @@ inline bool Sampler::prepare() {
         const std::uint64_t room = config.is_uniform() ? left : initial_ - issued_;
         fill(*batch, std::min({left, room, batch_size()}));
     } else {
-        const SystematicDraw beta(film_, threads_);
+        const auto passes = static_cast<float>(static_cast<double>(pool_.cursor()) / static_cast<double>(film_.tiling.slots()));
+        const SystematicDraw beta(film_, passes, threads_);
         draw_adaptive(*batch, left, beta);
     }
-    const auto passes = static_cast<float>(static_cast<double>(pool_.cursor()) / static_cast<double>(film_.tiling.slots()));
-    // During the passes that come before all adaptation there is no beta yet.
-    arranger_(proposals_, film_, batch->evaluated.empty() && proposals_.pass.size() == proposals_.size() ? 0.0f : passes, *batch, threads_);
+    arranger_(proposals_, film_, *batch, threads_);
     issued_ += batch->size();
     ++drawn_batches_;
     prepared_.push_back(std::move(batch));
@@ -121,8 +120,8 @@ inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint3
     threads_.ranges(n, 1024, [&](std::size_t first, std::size_t last) {
         for (std::size_t i = first; i < last; ++i) {
             const auto counter = static_cast<std::uint32_t>(i);
-            float x = static_cast<float>(film_.tiling.x(member_slots_[i])) + place.uniform(counter, 0);
-            float y = static_cast<float>(film_.tiling.y(member_slots_[i])) + place.uniform(counter, 1);
+            float x = in_pixel(film_.tiling.x(member_slots_[i]), place.uniform(counter, 0));
+            float y = in_pixel(film_.tiling.y(member_slots_[i]), place.uniform(counter, 1));
             if (jitter > 0.0f && i < by_beta) {
                 x += jitter * (2.0f * place.uniform(counter, 2) - 1.0f);
                 y += jitter * (2.0f * place.uniform(counter, 3) - 1.0f);

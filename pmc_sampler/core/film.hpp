@@ -38,12 +38,10 @@ static_assert(sizeof(PixelSums) == 64);
 
 class Film {
 public:
-    // watch_noise: keep visible_noise() at hand even where nothing steers by it.
-    Film(std::uint32_t width, std::uint32_t height, const Config& config, std::uint32_t aovs, bool watch_noise = false)
-        : tiling(width, height), sums(tiling.slots()), pool_mean(tiling.slots()), strategy(tiling.slots()), drawn(tiling.slots()), tile_weight(tiling.tiles()),
-          aov_sums(tiling.slots() * aovs), aovs(aovs), beta_(tiling.slots()), tile_settled_(tiling.tiles()), white_(config.white_luminance),
-          per_white_(1.0 / config.white_luminance), rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), steers_(!uniform_ || watch_noise),
-          live_(steers_ && config.adapt_beta_every == 1) {}
+    Film(std::uint32_t width, std::uint32_t height, const Config& config, std::uint32_t aovs)
+        : tiling(width, height), sums(tiling.slots()), pool_mean(tiling.slots()), strategy(tiling.slots()), drawn(tiling.slots()),
+          aov_sums(tiling.slots() * aovs), aovs(aovs), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
+          rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), live_(!uniform_ && config.adapt_beta_every == 1) {}
 
     // Adds a batch; radiance holds 3 + aovs floats a sample. Samples that are not finite or negative are left out, and their
     // number returned. `luminances`, if any, receives each sample's, NaN where it was left out.
@@ -58,17 +56,10 @@ public:
         };
         threads.ranges(n, 2048, [&](std::size_t first, std::size_t last) {
             std::uint64_t bad = 0;
-            for (std::size_t i = boundary(first), end = boundary(last); i < end;) {
-                const std::uint32_t tile = slot[i] / Tiling::area;
-                const std::size_t start = i;
-                for (; i < end && slot[i] / Tiling::area == tile; ++i) {
-                    if (i + ahead < end) fetch(slot[i + ahead], batch.tag[i + ahead]);
-                    bad += !add_sample(slot[i], batch.tag[i], radiance + i * (3 + aovs), luminances ? luminances + i : nullptr);
-                }
-                // For each sample, not for each pixel: the branch between the two costs more than the work.
-                if (steers_)
-                    for (std::size_t j = start; j < i; ++j) steer(slot[j]);
-                if (live_) weigh_tile(tile);
+            for (std::size_t i = boundary(first), end = boundary(last); i < end; ++i) {
+                if (i + ahead < end) fetch(slot[i + ahead], batch.tag[i + ahead]);
+                bad += !add_sample(slot[i], batch.tag[i], radiance + i * (3 + aovs), luminances ? luminances + i : nullptr);
+                tiles_[slot[i] / Tiling::area].stale = live_;
             }
             rejected += bad;
         });
@@ -76,30 +67,44 @@ public:
         return rejected;
     }
 
-    // beta of every pixel anew: where it is not kept up to date sample by sample (Config::adapt_beta_every above 1).
+    // The density of every pixel anew: where it is not kept up to date sample by sample (Config::adapt_beta_every above 1).
     void adapt_beta(ThreadPool& threads) {
         threads.ranges(tiling.tiles(), 16, [&](std::size_t first, std::size_t last) {
             for (std::size_t tile = first; tile < last; ++tile) {
-                for (std::size_t s = tile * Tiling::area; s < (tile + 1) * Tiling::area; ++s)
-                    if (sums[s].n) set_state(s, state(s));
-                weigh_tile(static_cast<std::uint32_t>(tile));
+                for (std::size_t s = tile * Tiling::area; s < (tile + 1) * Tiling::area; ++s) score_[s] = score(sums[s]);
+                tiles_[tile].stale = true;
             }
         });
     }
 
-    float beta(std::size_t slot) const { return steers_ ? std::fabs(beta_[slot]) : state(slot).beta; }
-    // Weight with which each pixel of a tile is drawn, beta to its power, and their sums over the tile's rows.
+    // beta as the sampler sees it (Config::beta), not normalised.
+    float beta(std::size_t slot) const {
+        const PixelSums& p = sums[slot];
+        const double value = uniform_ ? score(p) : score_[slot];
+        return static_cast<float>(rule_ == Beta::gain && p.n ? value / (double(p.n) * p.n) : value);
+    }
+
+    // Weight with which each pixel of a tile is drawn, beta to its power, and their sums over the tile's rows. Samples that are
+    // drawn and not told yet count as taken: without that, the batches drawn meanwhile would all go to the same pixels. The
+    // passes of the pool stand in for the pixel's own count of its samples.
     struct TileWeights {
         float pixel[Tiling::area], row[Tiling::side];
     };
     void weights(std::uint32_t tile, TileWeights& w) const {
-        const float* from = beta_.data() + std::size_t(tile) * Tiling::area;
-        if (power_ == 1.5)
-            for (std::uint32_t i = 0; i < Tiling::area; ++i) w.pixel[i] = std::fabs(from[i]) * std::sqrt(std::fabs(from[i]));
-        else if (power_ == 1.0)
-            for (std::uint32_t i = 0; i < Tiling::area; ++i) w.pixel[i] = std::fabs(from[i]);
+        const float* from = score_.data() + std::size_t(tile) * Tiling::area;
+        const std::uint32_t* taken = drawn.data() + std::size_t(tile) * Tiling::area;
+        const float passes = tiles_[tile].passes;
+        if (rule_ == Beta::gain)
+            for (std::uint32_t i = 0; i < Tiling::area; ++i) {
+                const float inverse = 1.0f / (static_cast<float>(static_cast<std::int32_t>(taken[i])) + passes);
+                w.pixel[i] = from[i] * inverse * inverse;
+            }
         else
-            for (std::uint32_t i = 0; i < Tiling::area; ++i) w.pixel[i] = from[i] != 0.0f ? static_cast<float>(std::pow(std::fabs(double(from[i])), power_)) : 0.0f;
+            std::copy_n(from, Tiling::area, w.pixel);
+        if (power_ == 1.5)
+            for (float& v : w.pixel) v *= std::sqrt(v);
+        else if (power_ != 1.0)
+            for (float& v : w.pixel) v = v > 0.0f ? static_cast<float>(std::pow(double(v), power_)) : 0.0f;
         for (std::uint32_t r = 0; r < Tiling::side; ++r) {
             // In fours, so that the sum is the same however the compiler vectorises.
             float sum[4] = {};
@@ -107,32 +112,28 @@ public:
             w.row[r] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
         }
     }
-
-    // Samples of a pixel that are drawn and not told yet count as taken: without that, the batches drawn meanwhile would all go
-    // to the same pixels. `more` were drawn just now; `passes` of the pool stand in for the pixel's own count of its samples.
-    void anticipate(std::size_t slot, std::uint32_t more, float passes) {
-        if (rule_ != Beta::gain) return;
-        const float after = static_cast<float>(drawn[slot]) + passes;
-        const float share = 1.0f - static_cast<float>(more) / after;
-        beta_[slot] *= share * share;
-    }
-    bool live() const { return live_; }
-    void weigh_tile(std::uint32_t tile) {
+    // Brings the sums of tiles [first, last) up to date; `passes` of the pool are drawn.
+    void weigh(std::size_t first, std::size_t last, float passes) {
         TileWeights w;
-        weights(tile, w);
-        double total = 0.0;
-        for (float row : w.row) total += row;
-        tile_weight[tile] = total;
+        for (std::size_t t = first; t < last; ++t) {
+            if (!tiles_[t].stale) continue;
+            tiles_[t] = {0.0, std::max(passes, 1.0f), false};
+            weights(static_cast<std::uint32_t>(t), w);
+            for (float row : w.row) tiles_[t].weight += row;
+        }
     }
+    double tile_weight(std::size_t tile) const { return tiles_[tile].weight; }
+    void touch(std::size_t tile) { tiles_[tile].stale |= !uniform_ && (live_ || rule_ == Beta::gain); }
 
     // Share of pixels whose standard error of luminance exceeds tvi, or that have fewer than two samples.
-    double visible_noise() const {
-        std::uint64_t count = 0;
-        if (steers_)
-            for (std::uint32_t tile = 0; tile < tiling.tiles(); ++tile) count += tile_settled_[tile];
-        else
-            for (std::size_t slot = 0; slot < sums.size(); ++slot) count += state(slot).settled;
-        return 1.0 - static_cast<double>(count) / static_cast<double>(tiling.pixels());
+    double visible_noise(ThreadPool& threads) const {
+        std::atomic<std::uint64_t> settled{0};
+        threads.ranges(sums.size(), 65536, [&](std::size_t first, std::size_t last) {
+            std::uint64_t count = 0;
+            for (std::size_t s = first; s < last; ++s) count += sums[s].n > 1 && score_of<Beta::gain>(sums[s]) <= static_cast<float>(sums[s].n);
+            settled += count;
+        });
+        return 1.0 - static_cast<double>(settled) / static_cast<double>(tiling.pixels());
     }
 
     static constexpr std::size_t bytes_per_pixel =
@@ -151,7 +152,6 @@ public:
     Zeroed<std::array<float, 3>> pool_mean;          // mean radiance of the pool's samples alone; of no use where all are
     Zeroed<std::array<std::uint32_t, 3>> strategy;   // samples that each radius of the kernel proposed
     Zeroed<std::uint32_t> drawn;  // samples drawn from each pixel's adaptive sequence: the next one's index
-    Zeroed<double> tile_weight;   // sum of weight() over each tile
     Zeroed<double> aov_sums;
     std::uint32_t aovs;
     std::uint64_t samples = 0;
@@ -162,9 +162,8 @@ public:
         a.array("film.pool_mean", pool_mean);
         a.array("film.strategy", strategy);
         a.array("film.drawn", drawn);
-        a.array("film.beta", beta_);
-        a.array("film.tile_weight", tile_weight);
-        a.array("film.tile_settled", tile_settled_);
+        a.array("film.score", score_);
+        a.array("film.tiles", tiles_);
         a.array("film.aov_sums", aov_sums);
         a.value("film.samples", samples);
     }
@@ -202,6 +201,7 @@ private:
         std::memcpy(p.sum, &now_rg, sizeof now_rg);
         p.sum[2] = sum_by[0] + b;
         p.m2_luminance += m2_by[1];
+        if (live_) score_[slot] = score_at(p.m2_luminance * inverse, (sum_by[1] + y) * reciprocal(n + 1));
         p.m2[0] += static_cast<float>(m2_rg[0]);
         p.m2[1] += static_cast<float>(m2_rg[1]);
         p.m2[2] += static_cast<float>(m2_by[0]);
@@ -228,44 +228,36 @@ private:
         return n < reciprocals.size() ? reciprocals[n] : 1.0 / n;
     }
 
-    // tvi at the pixel's mean, in radiance units.
-    double threshold(const PixelSums& p) const {
-        return table_(static_cast<float>(luminance(p.sum[0], p.sum[1], p.sum[2]) * reciprocal(p.n) * white_)) * per_white_;
+    // What beta owes to a pixel's samples other than their number: var / tvi^2, or the paper's var / tvi, of their luminance.
+    // Bounded, so that sums and powers of it stay finite.
+    template <Beta rule>
+    float score_of(double variance, double mean) const {
+        const double inverse_square = inverse_square_tvi_(static_cast<float>(mean * white_));
+        const double value = rule == Beta::gain ? variance * white_ * white_ * inverse_square : variance * white_ * std::sqrt(inverse_square);
+        return static_cast<float>(std::min(value, 1e18));
     }
+    template <Beta rule>
+    float score_of(const PixelSums& p) const {
+        return p.n < 2 ? 0.0f : score_of<rule>(p.m2_luminance * reciprocal(p.n - 1), luminance(p.sum[0], p.sum[1], p.sum[2]) * reciprocal(p.n));
+    }
+    float score_at(double variance, double mean) const {
+        return rule_ == Beta::gain ? score_of<Beta::gain>(variance, mean) : score_of<Beta::variance>(variance, mean);
+    }
+    float score(const PixelSums& p) const { return rule_ == Beta::gain ? score_of<Beta::gain>(p) : score_of<Beta::variance>(p); }
 
-    struct State {
-        float beta;
-        bool settled;
+    struct Tile {
+        double weight;  // sum of weights() over the tile
+        float passes;   // of the pool, when that was summed
+        bool stale;     // the sum is older than what it is a sum of
     };
-    State state(std::size_t slot) const {
-        const PixelSums& p = sums[slot];
-        if (p.n < 2) return {0.0f, false};
-        const double variance = p.m2_luminance * reciprocal(p.n - 1);
-        const double t = threshold(p), n = double(p.n_pool) + std::max(p.n - p.n_pool, drawn[slot]);
-        const double value = variance / (rule_ == Beta::gain ? t * t * n * n : t);
-        // Bounded, so that sums and powers of it stay finite.
-        return {static_cast<float>(std::min(value, 1e18)), variance <= t * t * p.n};
-    }
 
-    void steer(std::size_t slot) {
-        State now = state(slot);
-        if (!live_) now.beta = std::fabs(beta_[slot]);
-        set_state(slot, now);
-    }
-
-    void set_state(std::size_t slot, State now) {
-        const std::size_t tile = slot / Tiling::area;
-        tile_settled_[tile] = static_cast<std::uint16_t>(tile_settled_[tile] + now.settled - std::signbit(beta_[slot]));
-        beta_[slot] = now.settled ? -now.beta : now.beta;
-    }
-
-    Zeroed<float> beta_;  // its sign bit is set where the pixel is settled
-    Zeroed<std::uint16_t> tile_settled_;
-    double white_, per_white_;
+    Zeroed<float> score_;
+    Zeroed<Tile> tiles_;
+    double white_;
     Beta rule_;
     double power_;
-    bool uniform_, steers_, live_;
-    TviTable table_;
+    bool uniform_, live_;
+    InverseSquareTvi inverse_square_tvi_;
 };
 
 }  // namespace pmc

@@ -34,7 +34,7 @@ public:
     Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& settings = {}, std::uint64_t seed = 0,
             std::uint32_t aovs = 0, unsigned threads = 0)
         : config(settings.resolved(width, height)), budget(checked(budget)), seed(seed), threads_(threads),
-          film_(width, height, config, aovs, budget.visible_noise >= 0.0), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
+          film_(width, height, config, aovs), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
           memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, key(seed), config.filter, config.filter_radius),
           populations_(std::size_t(config.lookahead) + 1), id_(next_id().fetch_add(1)) {
         const double pixels = static_cast<double>(film_.tiling.pixels());
@@ -190,7 +190,7 @@ private:
             issued_ -= batch.size();
         }
         if (!config.is_uniform() && config.adapt_beta_every > 1 && told_ % config.adapt_beta_every == 0) film_.adapt_beta(threads_);
-        if (done_ == Done::no && budget.visible_noise >= 0.0 && film_.samples + rejected_ >= initial_ && film_.visible_noise() <= budget.visible_noise)
+        if (done_ == Done::no && budget.visible_noise >= 0.0 && film_.samples + rejected_ >= initial_ && film_.visible_noise(threads_) <= budget.visible_noise)
             done_ = Done::visible_noise;
         done();
     }

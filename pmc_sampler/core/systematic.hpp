@@ -14,13 +14,16 @@ namespace pmc {
 class SystematicDraw {
 public:
     // Tiles are summed in blocks of fixed size: a sum's rounding must not depend on the number of threads.
-    static constexpr std::size_t block = 256;
+    static constexpr std::size_t block = 64;
 
-    SystematicDraw(const Film& film, ThreadPool& threads) : film_(film), starts_((film.tiling.tiles() + block - 1) / block + 1, 0.0) {
+    // Brings the film's sums of weights up to date; `passes` of the pool are drawn.
+    SystematicDraw(Film& film, float passes, ThreadPool& threads) : film_(film), starts_((film.tiling.tiles() + block - 1) / block + 1, 0.0) {
         const std::size_t tiles = film.tiling.tiles();
         threads.run(starts_.size() - 1, [&](std::size_t b) {
+            const std::size_t first = b * block, last = std::min(tiles, first + block);
+            film.weigh(first, last, passes);
             double sum = 0.0;
-            for (std::size_t t = b * block; t < std::min(tiles, (b + 1) * block); ++t) sum += film.tile_weight[t];
+            for (std::size_t t = first; t < last; ++t) sum += film.tile_weight(t);
             starts_[b + 1] = sum;
         });
         for (std::size_t b = 1; b < starts_.size(); ++b) starts_[b] += starts_[b - 1];
@@ -48,11 +51,12 @@ public:
                 for (; i < end && next < weight; next = (static_cast<double>(++i) + offset) * step) slots[i] = slot;
             };
             for (std::size_t t = b * block; t < std::min(tiles, (b + 1) * block) && i < end; ++t) {
-                if (weight + film_.tile_weight[t] <= next) {  // nothing falls into this tile
-                    weight += film_.tile_weight[t];
+                if (weight + film_.tile_weight(t) <= next) {  // nothing falls into this tile
+                    weight += film_.tile_weight(t);
                     continue;
                 }
                 film_.weights(static_cast<std::uint32_t>(t), w);
+                const double tile_end = weight + film_.tile_weight(t);
                 for (std::uint32_t r = 0; r < Tiling::side; ++r) {
                     const double row_end = weight + w.row[r];
                     if (row_end <= next) {
@@ -69,6 +73,7 @@ public:
                     weight = row_end;
                     if (found) draw(last);
                 }
+                weight = tile_end;
             }
             // The sums above are rounded: a draw that falls between them goes to the last pixel passed.
             if (i < end && !found) last = some_slot(b * block);
@@ -82,7 +87,7 @@ private:
         const std::size_t tiles = film_.tiling.tiles();
         for (std::size_t step = 0; step < tiles; ++step) {
             const std::size_t t = (tile + step) % tiles;
-            for (std::size_t s = t * Tiling::area; film_.tile_weight[t] > 0.0 && s < (t + 1) * Tiling::area; ++s)
+            for (std::size_t s = t * Tiling::area; film_.tile_weight(t) > 0.0 && s < (t + 1) * Tiling::area; ++s)
                 if (film_.beta(s) > 0.0f) return static_cast<std::uint32_t>(s);
         }
         return 0;

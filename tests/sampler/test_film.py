@@ -79,11 +79,11 @@ def test_shapes_and_types() -> None:
 
 
 def test_film_is_small() -> None:
-    """96 bytes a pixel, without AOVs and the sums of tiles: 10 bytes for 256 pixels, and 12 of alpha for 64."""
+    """96 bytes a pixel, without AOVs and the sums of tiles: 16 bytes for 256 pixels, and 12 of alpha for 64."""
     assert _core.film_bytes_per_pixel <= 96
     blocks = Sampler(64, 64, Budget(spp=1))._native.save()
     film = {name: block.nbytes for name, block in blocks.items() if name.startswith(("film.", "alpha."))}
-    assert sum(film.values()) <= (96 + 10 / 256 + 12 / 64) * 64 * 64 + 64
+    assert sum(film.values()) <= (96 + 16 / 256 + 12 / 64) * 64 * 64 + 64
 
 
 def test_a_large_mean_with_a_tiny_spread_loses_nothing(oracle: Any, renderers: SimpleNamespace) -> None:
