@@ -28,6 +28,8 @@ coverage: setup
 
 bench: setup
 	$(BIN)/python benchmarks/samplers.py $(BENCH_ARGS)
+	$(BIN)/python benchmarks/overhead.py $(BENCH_ARGS)
+	$(BIN)/python benchmarks/mitsuba_throughput.py
 
 lint: setup
 	$(BIN)/pre-commit run --all-files

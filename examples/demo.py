@@ -115,7 +115,8 @@ def strategy_picture(result: Result) -> NDArray[np.float32]:
 def radii() -> str:
     """The default kernel's radii with the colours of the strategy image."""
     colours = ("red", "green", "blue")
-    return ", ".join(f"{colour} {radius:g} px" for colour, radius in zip(colours, Config().resolved(640, 480).radii or (), strict=True))
+    sizes = Config().resolved(640, 480).radii or ()
+    return ", ".join(f"{colour} {radius:g} px" for colour, radius in zip(colours, sizes, strict=True))
 
 
 def contact_sheet(path: Path, results: dict[str, Result], reference: references.Reference) -> None:

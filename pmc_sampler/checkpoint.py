@@ -28,7 +28,8 @@ def write(path: Path, header: Mapping[str, Any], blocks: Mapping[str, npt.NDArra
     handle, name = tempfile.mkstemp(prefix=path.name + ".", suffix=".part", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
-            np.savez(file, header=np.frombuffer(text, np.uint8), **blocks)
+            arrays: dict[str, Any] = {"header": np.frombuffer(text, np.uint8), **blocks}
+            np.savez(file, **arrays)
             file.flush()
             os.fsync(file.fileno())
         os.replace(name, path)

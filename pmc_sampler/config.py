@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -142,7 +142,11 @@ class Config:
         names = [field.name for field in dataclasses.fields(cls)]
         values = dict(settings)
         preset = values.pop("preset", "default")
-        presets = {"default": cls, "paper": partial(cls.paper, *size), "uniform": cls.uniform}
+        presets: dict[str, Callable[..., Config]] = {
+            "default": cls,
+            "paper": partial(cls.paper, *size),
+            "uniform": cls.uniform,
+        }
         if not isinstance(preset, str) or preset not in presets:
             raise ValueError(f"preset is {preset!r}: expected one of {', '.join(presets)}")
         unknown = sorted(set(values) - set(names), key=str)
@@ -155,7 +159,10 @@ class Config:
         return {**dataclasses.asdict(self), "radii": None if self.radii is None else list(self.radii)}
 
     def resolved(self, width: int, height: int) -> Config:
-        """The same settings with the radii that a sampler of that size uses. Raises ValueError where they do not fit it."""
+        """The same settings with the radii that a sampler of that size uses.
+
+        Raises ValueError where they do not fit the image.
+        """
         return dataclasses.replace(self, radii=tuple(self._native().resolved(width, height).radii))
 
     def _native(self) -> _core.Config:

@@ -684,3 +684,16 @@ def test_the_installed_command_runs(tmp_path: Path) -> None:
     assert refused.returncode == 2
     assert refused.stderr.count("\n") == 1
     assert os.listdir(tmp_path) == []
+
+
+def test_the_film_s_filter_is_the_image_s(lamp: Callable[..., Any], tmp_path: Path, monkeypatch: Any) -> None:
+    """As the scene says, unless the settings say otherwise."""
+    lamp()
+    monkeypatch.setattr(Lamp, "filter", {"filter": "tent", "filter_radius": 1.5}, raising=False)
+    assert main(["render", "here", "--spp", "2", "-o", "a.exr"]) == 0
+    config = json.loads(metadata("a.exr")["config"])
+    assert (config["filter"], config["filter_radius"]) == ("tent", 1.5)
+    (tmp_path / "c.toml").write_text('filter = "box"\n')
+    assert main(["render", "here", "--spp", "2", "--config", "c.toml", "-o", "b.exr"]) == 0
+    config = json.loads(metadata("b.exr")["config"])
+    assert (config["filter"], config["filter_radius"]) == ("box", None)

@@ -80,13 +80,13 @@ def _keep(job: Job) -> str:
 
 def _job(options: argparse.Namespace) -> Job:
     budget = settings.budget(options)
-    settings.config(options.method, options.config, (640, 480))  # a mistake in it shows before the scene is loaded
+    settings.config(options.method, options.config)  # a mistake in it shows before the scene is loaded
     try:
         adapters = importlib.import_module("pmc_sampler.adapters")
         radiance = adapters.load(options.renderer, options.scene, sampler=options.sampler, size=options.size)
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:
         raise CommandError(" ".join(str(error).split())) from error
-    config = settings.config(options.method, options.config, (radiance.width, radiance.height))
+    config = settings.config(options.method, options.config, radiance)
     checkpoint = None
     if options.checkpoint is not None:
         identity = {

@@ -14,13 +14,19 @@ from .errors import CommandError
 _PRESETS = {"pmc": "default", "pmc-paper": "paper", "pt": "uniform"}
 
 
-def config(method: str, file: Path | None, size: tuple[int, int]) -> Config:
-    """The method's settings for an image of that size; those in the TOML file, a ``preset`` too, take their place."""
+def config(method: str, file: Path | None, radiance: Any = None) -> Config:
+    """The method's settings; those in the TOML file, a ``preset`` too, take their place.
+
+    radiance: the renderer, once it is there. Its size scales the paper's population, and where it has a ``filter``, the
+    settings of its film's reconstruction filter, they are the image's unless the file names one.
+    """
     given = {} if file is None else _read(file)
     try:
-        return Config.from_dict({"preset": _PRESETS[method], **given}, size)
+        size = (640, 480) if radiance is None else (radiance.width, radiance.height)
+        filtered = {} if "filter" in given else getattr(radiance, "filter", {})
+        return Config.from_dict({"preset": _PRESETS[method], **filtered, **given}, size)
     except (ValueError, TypeError) as error:
-        raise CommandError(f"{str(file)!r}: {error}") from error
+        raise CommandError(str(error) if file is None else f"{str(file)!r}: {error}") from error
 
 
 def budget(options: argparse.Namespace) -> Budget:
