@@ -1,0 +1,76 @@
+"""Unbiasedness of what claims it: the mean of the pool, and the sum of the corrected image. Over 32 seeds, by Student's
+t-test of the whole image and of nine tiles of 16x16 pixels, with Sidak's correction for all of them: a test of an
+unbiased estimator fails once in 10^4. The plain mean, biased low by steering away from pixels that happened to look
+dark (Kirk and Arvo 1991, doi:10.1145/127719.122735), is the negative control that they reject.
+"""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from pmc_sampler import Batch, Budget, Config, Sampler
+
+SIZE, SEEDS, FAMILY = 48, 32, 1e-4
+CONFIGS: dict[str, Config] = {
+    "default": Config(),
+    "greedy": Config(direct_share=1.0, pool_share=0.2),
+    "population": Config(direct_share=0.0, moves=4, eliminate=0.4, regenerate_pool=0.3),
+    "far ahead": Config(lookahead=4, batch=1000, initial_spp=2.0),
+    "variance": Config(beta="variance", beta_power=1.0, adapt_beta_every=3),
+    "jitter": Config(direct_share=0.0, regenerate_jitter=3.0, evaluate_regenerated=False, filter="gaussian"),
+}
+
+
+def p_value(images: np.ndarray) -> float:
+    """That the mean of images (seeds, height, width) is 1 everywhere, whole and in tiles: the family's p."""
+    tiles = images.reshape(len(images), 3, 16, 3, 16).mean(axis=(2, 4)).reshape(len(images), 9)
+    values = np.concatenate([images.mean(axis=(1, 2))[:, None], tiles], axis=1)
+    smallest = stats.ttest_1samp(values, 1.0, axis=0).pvalue.min()
+    return float(1 - (1 - smallest) ** values.shape[1])
+
+
+@pytest.mark.parametrize("tail", ["heavy", "light"])
+@pytest.mark.parametrize("name", CONFIGS)
+def test_unbiased_but_for_the_plain_mean(name: str, tail: str, renderers: SimpleNamespace) -> None:
+    """Paths 60 times as bright as the mean in one sample of 100, or three times in one of four; the mean is 1."""
+    rare, bright = {"heavy": (0.01, 60.0), "light": (0.25, 3.0)}[tail]
+    dim = (1 - rare * bright) / (1 - rare)
+    pictures: dict[str, list[np.ndarray]] = {"plain_mean": [], "pool_mean": [], "mean": []}
+    for seed in range(SEEDS):
+
+        def image(batch: Batch, salt: int = seed) -> np.ndarray:
+            grey = np.where(renderers.noise(batch, salt) < rare, bright, dim)
+            return renderers.rgb(grey)  # type: ignore[no-any-return]
+
+        sampler = Sampler(SIZE, SIZE, Budget(spp=16), CONFIGS[name], seed=1000 + seed)
+        sampler.run(image)
+        for picture, values in pictures.items():
+            values.append(getattr(sampler.film, picture)[..., 0].astype(np.float64))
+    assert p_value(np.array(pictures["pool_mean"])) > FAMILY
+    whole = np.array(pictures["mean"]).mean(axis=(1, 2))
+    assert stats.ttest_1samp(whole, 1.0).pvalue > FAMILY
+    if tail == "heavy" or name == "greedy":  # members that move decouple a pixel's count from its own bright samples
+        assert p_value(np.array(pictures["plain_mean"])) < FAMILY
+        assert np.mean(pictures["plain_mean"]) < 1
+
+
+def test_halves_and_plain_mean_of_the_pool_are_unbiased(renderers: Any) -> None:
+    """Uniform sampling is unbiased in every picture, and a 1 % loss of radiance would show (the negative control)."""
+    first, plain = [], []
+    for seed in range(SEEDS):
+        sampler = Sampler(SIZE, SIZE, Budget(spp=16), Config.uniform(), seed=seed)
+
+        def image(batch: Batch, salt: int = seed) -> np.ndarray:
+            return renderers.rgb(2 * renderers.noise(batch, salt))  # type: ignore[no-any-return]
+
+        sampler.run(image)
+        first.append(sampler.film.halves[0][..., 0].astype(np.float64))
+        plain.append(sampler.film.mean[..., 0].astype(np.float64))
+    assert p_value(np.array(first)) > FAMILY
+    assert p_value(np.array(plain)) > FAMILY
+    assert p_value(0.99 * np.array(plain)) < FAMILY
