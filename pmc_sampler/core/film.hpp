@@ -59,7 +59,7 @@ public:
             for (std::size_t i = boundary(first), end = boundary(last); i < end; ++i) {
                 if (i + ahead < end) fetch(slot[i + ahead], batch.tag[i + ahead]);
                 bad += !add_sample(slot[i], batch.tag[i], radiance + i * (3 + aovs), luminances ? luminances + i : nullptr);
-                tiles_[slot[i] / Tiling::area].stale = live_;
+                tiles_[slot[i] / Tiling::area].stale |= live_;
             }
             rejected += bad;
         });
