@@ -53,6 +53,34 @@ def test_draws_follow_beta(how: str, power: float, size: tuple[int, int], render
         assert abs(count - batch_size * other / other.sum()).max() > 1.1
 
 
+@pytest.mark.parametrize("every", [1, 2, 5])
+@pytest.mark.parametrize("rule", ["gain", "variance"])
+def test_draws_follow_beta_between_adaptations(rule: str, every: int, renderers: Any) -> None:
+    """With beta adapted now and then only, its variances stay what they were, and the counts of samples go on."""
+    config = Config(
+        batch=2000,
+        direct_share=1.0,
+        pool_share=0.0,
+        initial_spp=4.0,
+        lookahead=0,
+        beta=rule,
+        beta_power=1.0,
+        adapt_beta_every=every,
+    )
+    sampler = Sampler(40, 30, Budget(spp=30), config, seed=5)
+    known = 0
+    while not sampler.done:
+        weight = sampler.film.beta.ravel().astype(np.float64)
+        adapts = sampler.samples >= 4800 and weight.sum() > 0
+        batch = sampler.ask()
+        if adapts:
+            count = np.bincount(batch.pixel, minlength=1200)
+            assert abs(count - len(batch) * weight / weight.sum()).max() < 1.001
+            known += 1
+        sampler.tell(batch, renderers.textured(batch))
+    assert known > 8
+
+
 def test_draws_are_unbiased(renderers: SimpleNamespace) -> None:
     """Over random offsets the mean count of every pixel is its share: 600 draws of 37 from 100 pixels, each pixel
     within 5.5 standard errors (a false alarm in 2 x 10^5). The negative control is an offset that is always 0.5.
