@@ -58,7 +58,7 @@ def test_draws_follow_beta(how: str, power: float, size: tuple[int, int], render
 def test_draws_follow_beta_between_adaptations(rule: str, every: int, renderers: Any) -> None:
     """With beta adapted now and then only, its variances stay what they were, and the counts of samples go on."""
     config = Config(
-        batch=2000,
+        batch=1200,  # whole passes, where the pool fills in before beta is known
         direct_share=1.0,
         pool_share=0.0,
         initial_spp=4.0,
