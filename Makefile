@@ -29,7 +29,7 @@ coverage: setup
 bench: setup
 	$(BIN)/python benchmarks/samplers.py $(BENCH_ARGS)
 	$(BIN)/python benchmarks/overhead.py $(BENCH_ARGS)
-	$(BIN)/python benchmarks/mitsuba_throughput.py
+	$(BIN)/python benchmarks/mitsuba_throughput.py $(BENCH_ARGS)
 
 lint: setup
 	$(BIN)/pre-commit run --all-files

@@ -135,7 +135,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--size", default="320x240", help="width x height in pixels")
     parser.add_argument("--spp", type=int, default=16)
     parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("-o", "--output", type=Path, help="a JSON file for the figures")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder of mitsuba_throughput.json")
     options = parser.parse_args(arguments)
     width, height = (int(side) for side in options.size.split("x"))
     figures = _report(*measure(options.scene, (width, height), options.spp, options.rounds))
@@ -148,7 +148,8 @@ def main(arguments: list[str] | None = None) -> int:
     for kind, seconds in figures["host_seconds_per_batch"].items():
         print(f"host time per batch, {kind:20s} {seconds * 1e3:.2f} ms")
     if options.output:
-        options.output.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+        options.output.mkdir(parents=True, exist_ok=True)
+        (options.output / "mitsuba_throughput.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
     return 0
 
 

@@ -134,7 +134,7 @@ def obtain(
     inner = folder / f"{name}.sampler"
     while state.count < replicates:
         began = time.perf_counter()
-        sampler = _sampler(inner, width, height, spp // replicates, SEED + state.count)
+        sampler = _sampler(inner, radiance, width, height, spp // replicates, SEED + state.count)
         saved = time.perf_counter()
         while not sampler.done:
             batch = sampler.ask()
@@ -215,12 +215,13 @@ class _Replicates:
         )
 
 
-def _sampler(inner: Path, width: int, height: int, spp: int, seed: int) -> Sampler:
+def _sampler(inner: Path, radiance: Any, width: int, height: int, spp: int, seed: int) -> Sampler:
     if inner.is_file():
         sampler = Sampler.load(inner)
         if sampler.seed == seed:
             return sampler
-    return Sampler(width, height, Budget(spp=spp), Config.uniform(), seed=seed)
+    signed = getattr(radiance, "signed", False)
+    return Sampler(width, height, Budget(spp=spp), Config.uniform(), seed=seed, signed=signed)
 
 
 def _save(path: Path, arrays: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> None:

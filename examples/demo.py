@@ -134,13 +134,11 @@ def contact_sheet(path: Path, results: dict[str, Result], reference: references.
         axes[1, column].imshow(display(crop(image)), interpolation="nearest")
         axes[1, column].set_title(f"{titles[name]}: the caustic")
     axes[0, 3].imshow(strategy_picture(results["pmc"]), interpolation="nearest")
-    axes[0, 3].set_title(f"radius that proposed: {radii()}")
+    axes[0, 3].set_title(f"kernel used: {radii()}", fontsize="medium")
     counts = results["pmc"].film.samples
     density = axes[1, 3].imshow(counts, interpolation="nearest", norm="log", cmap="magma")
     axes[1, 3].set_title(f"samples per pixel: {counts.min()} to {counts.max()}")
-    scale = axes[1, 3].inset_axes((0.05, 0.14, 0.5, 0.03))
-    figure.colorbar(density, cax=scale, orientation="horizontal")
-    scale.tick_params(colors="white")
+    figure.colorbar(density, ax=axes[1, 3], orientation="horizontal", shrink=0.8, pad=0.02)
     for axis in axes.flat:
         axis.set_axis_off()
     figure.savefig(path, dpi=110)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
+import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,8 @@ def write(path: Path, header: Mapping[str, Any], blocks: Mapping[str, npt.NDArra
     Raises OSError with the path where it cannot be written.
     """
     text = json.dumps({"format": FORMAT, "version": VERSION, **header}).encode()
+    if not path.parent.is_dir():
+        raise FileNotFoundError(f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
     handle, name = tempfile.mkstemp(prefix=path.name + ".", suffix=".part", dir=path.parent)
     try:
         with os.fdopen(handle, "wb") as file:
@@ -39,8 +42,10 @@ def write(path: Path, header: Mapping[str, Any], blocks: Mapping[str, npt.NDArra
 def read(path: Path) -> tuple[dict[str, Any], Blocks]:
     """Header and blocks. Raises FileNotFoundError, or ValueError for what is not a whole checkpoint of this version."""
     if not path.is_file():
-        raise FileNotFoundError(f"no checkpoint at {str(path)!r}")
+        raise FileNotFoundError(f"no checkpoint at {str(path)!r}: expected a file that Sampler.save wrote")
     try:
+        if not zipfile.is_zipfile(path):
+            raise ValueError("it is no archive, or its end is missing")
         with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
             blocks = {name: archive[name] for name in archive.files}
         header = json.loads(blocks.pop("header").tobytes())

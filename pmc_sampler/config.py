@@ -20,40 +20,34 @@ class Config:
     """How the sampler chooses pixels and what image it makes of the samples. Checked on construction.
 
     The batch
-        batch: samples in a batch; None: one for every second pixel once it adapts (one for each before that; 4096 at
-            least). Where `population` is given, that sets the size.
-        initial_spp: samples a pixel from the stratified pool before anything adapts; None: an eighth of the budget,
-            held
+        batch: samples in a batch; None: one for each pixel before anything adapts and one for every second pixel after,
+            4096 at least. A `population` that is given sets the size of the batches that adapt.
+        initial_spp: samples a pixel from the stratified pool before anything adapts; None: an eighth of the budget, held
             to 4 to 16.
         pool_share: share of each batch from the stratified pool, in [0, 1]; 1 is uniform sampling.
         direct_share: share of the rest drawn from `beta` and evaluated where drawn, outside the population, in [0, 1].
-        lookahead: batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]; so many batches may
-            be open
-            besides the one asked for, and as many more populations take turns.
+        lookahead: batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]; so many batches may be
+            open besides the one asked for, and as many more populations take turns.
 
     The population (paper, 4.1 and 4.3)
         population: members n, at most the pixels of the image; None: what fills the batch.
         moves: T_R, kernel moves of a member in each iteration, in [0, 1024] (Figure 2).
-        radii: d_k, radii of the kernel's disks in pixels, one to three (Eq. 4); None: 0.5, 1.5 and 4, or the larger
-            side of
-            the image where that is less.
+        radii: d_k, radii of the kernel's disks in pixels, one to three (Eq. 4); None: 0.5, 1.5 and 4, or the larger side
+            of the image where that is less.
         eliminate: share of the members replaced in each iteration by var / N_used, in [0, 1] (4.3.1).
-        regenerate_pool: share of the replacements placed by the pool; the others are drawn from `beta`, in [0, 1]
+        regenerate_pool: share of the replacements placed by the pool; the others are drawn from `beta`, in [0, 1] (4.3.2).
+        regenerate_jitter: pixels by which a member regenerated from `beta` is moved at most in x and in y, in [0, 64]
             (4.3.2).
-        regenerate_jitter: pixels by which a member regenerated from `beta` is moved at most in x and in y, in [0,
-            64] (4.3.2).
         evaluate_regenerated: whether a regenerated member is evaluated before it moves (4.1, last paragraph).
 
     Adaptation (paper, 4.3.3)
         adapt_alpha_every: iterations between adaptations of the members' kernel weights alpha, at least 1.
         adapt_beta_every: iterations between adaptations of `beta`, at least 1.
         alpha_floor: epsilon in alpha_k = epsilon / K + (1 - epsilon) share_k, the share of 1 / var_k; in [0, 1].
-        alpha_memory: how far the alpha remembered at a place moves to that of a member there, in [0, 1]; a
-            regenerated member
-            starts from what is remembered. 0 remembers nothing.
+        alpha_memory: how far the alpha remembered at a place moves to that of a member there, in [0, 1]; a regenerated
+            member starts from what is remembered. 0 remembers nothing, and `Film.alpha` then stays uniform.
         beta: "gain": var / (tvi(I)^2 n^2), the squared perceptual error that one more sample removes, with var the
-            variance
-            of a pixel's n samples of luminance and I their mean; "variance": var / tvi(I), the paper's (4.3.2).
+            variance of a pixel's n samples of luminance and I their mean; "variance": var / tvi(I), the paper's (4.3.2).
         beta_power: pixels are drawn in proportion to beta to this power, in [0.25, 2].
 
     The image
@@ -63,7 +57,7 @@ class Config:
         filter_radius: pixels, above 0 and at most 16; None: 0.5 for the box, 1 for the tent, 2 for the others.
         correction: strength of the energy correction of `Film.mean`, in [0, 1]; 0 leaves the plain mean.
         correction_sigma: standard deviation of its smoother, 0.5 to 256 pixels.
-        correction_knee: luminance, as a share of its surroundings', at which it is half applied, above 0 and at most 1.
+        correction_knee: radiance, as a share of its surroundings', at which it is half applied, above 0 and at most 1.
 
     Raises ValueError or TypeError with a sentence that names the setting, what came and what was expected.
     """
@@ -104,7 +98,8 @@ class Config:
 
         width, height: of the image, in pixels. The paper's is 640x480; for another the population of 5000 is scaled
         by the
-        number of pixels, so that a run of as many samples a pixel takes as many iterations and adapts as often.
+        number of pixels, so that a run of as many samples a pixel takes as many iterations and adapts as often. The
+        paper does not give epsilon; it is the default's `alpha_floor`.
         """
         settings: dict[str, Any] = {
             "population": max(1, round(5000 * width * height / (640 * 480))),

@@ -22,12 +22,11 @@ class Film:
 
     @property
     def mean(self) -> FloatImage:
-        """The image: the plain mean with the energy correction, whose sum over the image is that of the pool's
-        unbiased mean.
+        """The image: the plain mean with the energy that steering cost it.
 
-        With P the plain mean, U the mean of the stratified pool's samples, w a weight that falls to 0 in black
-        pixels and B a
-        symmetric smoother:  P + w B((U - P) / B(w)).  `Config.correction` is its strength.
+        With P the plain mean, U the mean of the stratified pool's samples, w a weight that falls to 0 where P is black and
+        B a symmetric smoother:  P + w B((U - P) / B(w)), channel by channel. Its sum over the image is that of U, which is
+        unbiased, at `Config.correction` 1 and but for results below zero, which are set to zero.
         """
         return self._native.mean()
 
@@ -69,8 +68,7 @@ class Film:
     @property
     def alpha(self) -> FloatImage:
         """Kernel weights remembered at each place, (height, width, number of radii); they sum to one."""
-        flat, kernels = self._native.alpha()
-        return flat[..., :kernels]
+        return self._native.alpha()
 
     @property
     def halves(self) -> tuple[FloatImage, FloatImage]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import inspect
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,10 +68,15 @@ class Result:
 class Sampler:
     """Population Monte Carlo sampling of the image plane (Lai and Dyer 2007), by ask and tell.
 
-    width, height: pixels, 1 to 65535 each. seed: 0 to 2^64 - 1. aovs: channels after RGB that are averaged along.
-    threads: of the sampler's own work; None for one on each processor. The image depends on none of threads, timing
-        or the order in
-    which batches come back, but on (radiance, config, seed, budget in samples) alone.
+    width, height: pixels, 1 to 65535 each.
+    seed: 0 to 2^64 - 1.
+    aovs: channels after RGB that are averaged along, at most 64.
+    threads: of the sampler's own work; None for one on each processor.
+    signed: whether radiance may be negative, as a single sample of a spectral renderer is where its colour lies outside
+        the gamut of RGB.
+
+    The image depends on (radiance, config, seed, budget in samples) alone: not on threads, timing or the order in which
+    batches come back. Threads of the caller may share a sampler.
 
     Raises ValueError or TypeError with a sentence that says what came and what was expected.
     """
@@ -85,6 +90,7 @@ class Sampler:
         seed: int = 0,
         aovs: int = 0,
         threads: int | None = None,
+        signed: bool = False,
     ) -> None:
         if not isinstance(budget, Budget):
             raise TypeError(f"budget is {budget!r}: expected a Budget, such as Budget(spp=64)")
@@ -97,6 +103,7 @@ class Sampler:
         self.config = config
         self.seed = _whole("seed", seed, 0, 2**64 - 1)
         self.aovs = _whole("aovs", aovs, 0, 64)
+        self.signed = bool(signed)
         try:
             self._native = _core.Sampler(
                 self.width,
@@ -106,6 +113,7 @@ class Sampler:
                 self.seed,
                 self.aovs,
                 0 if threads is None else _whole("threads", threads, 1, 1024),
+                self.signed,
             )
         except MemoryError:
             need = self.width * self.height * _core.film_bytes_per_pixel / 2**30
@@ -201,15 +209,17 @@ class Sampler:
         start = time.perf_counter()
         in_renderer = in_sampler = 0.0
         while not self.done:
-            t0 = time.perf_counter()
-            batch = self.ask()
-            t1 = time.perf_counter()
+            batch = None
             try:
+                t0 = time.perf_counter()
+                batch = self.ask()
+                t1 = time.perf_counter()
                 values = radiance(batch if wants_batch else batch.positions)
                 t2 = time.perf_counter()
                 self.tell(batch, values)
             except BaseException:
-                self.put_back(batch)
+                if batch is not None and self._native.is_open(batch._native):
+                    self.put_back(batch)
                 raise
             t3 = time.perf_counter()
             in_renderer += t2 - t1
@@ -228,6 +238,7 @@ class Sampler:
             "config": self.config.to_dict(),
             "seed": self.seed,
             "aovs": self.aovs,
+            "signed": self.signed,
         }
         checkpoint.write(Path(path), header, self._native.save())
 
@@ -247,6 +258,7 @@ class Sampler:
                 seed=header["seed"],
                 aovs=header["aovs"],
                 threads=threads,
+                signed=header["signed"],
             )
             sampler._native.restore(blocks)
         except (KeyError, TypeError, ValueError, RuntimeError) as error:
@@ -263,8 +275,36 @@ def render(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> Result:
-    """Renders an image: a thin loop over `Sampler.ask` and `tell` that gives the same bits. Arguments as theirs."""
-    return Sampler(width, height, budget, config, seed).run(radiance, progress)
+    """Renders an image: a thin loop over `Sampler.ask` and `tell` that gives the same bits. Arguments as theirs.
+
+    A renderer with attributes `aovs` and `signed` is taken at its word. Raises ValueError where it has a `width` and a
+    `height` and they are others.
+    """
+    made_for = (getattr(radiance, "width", width), getattr(radiance, "height", height))
+    if made_for != (width, height):
+        raise ValueError(
+            f"the image is {width}x{height} and the renderer renders {made_for[0]}x{made_for[1]}: give both one size"
+        )
+    return sampler_for(radiance, width, height, budget, config, seed).run(radiance, progress)
+
+
+def sampler_for(
+    radiance: Radiance, width: int, height: int, budget: Budget, config: Config | None = None, seed: int = 0
+) -> Sampler:
+    """A sampler for what a renderer says of itself: its extra channels (`aovs`), and whether it is `signed`."""
+    aovs, signed = getattr(radiance, "aovs", 0), getattr(radiance, "signed", False)
+    return Sampler(width, height, budget, config, seed, aovs=aovs, signed=signed)
+
+
+def config_for(radiance: Radiance, settings: Mapping[str, Any]) -> Config:
+    """Settings as `Config.from_dict` takes them, for what a renderer says of itself.
+
+    Its `width` and `height` scale the preset "paper"; where it has a `filter`, the settings of its film's
+    reconstruction filter, they are the image's unless `settings` name one.
+    """
+    size = (getattr(radiance, "width", 640), getattr(radiance, "height", 480))
+    filtered = {} if "filter" in settings else getattr(radiance, "filter", {})
+    return Config.from_dict({**filtered, **settings}, size)
 
 
 def _takes_batch(radiance: Radiance) -> bool:

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from pmc_sampler import Budget, Config, Sampler
+from pmc_sampler.sampler import config_for, sampler_for
 
 from . import variants
 from .loading import integrator_of
@@ -92,12 +93,14 @@ def _integrator_class(variant: str) -> Any:
             radiance = MitsubaRenderer(scene, sensor, self.pmc_nested, self.sampler)
             film = radiance.sensor.film()
             limits = Budget(spp=spp or radiance.sensor.sampler().sample_count(), **self.limits)
-            config = Config.from_dict({**radiance.filter, **self.settings})
+            config = config_for(radiance, self.settings)
             number = seed if isinstance(seed, int) else int(np.asarray(seed).ravel()[0])
-            sampler = Sampler(radiance.width, radiance.height, limits, config, number, radiance.aovs)
+            sampler = sampler_for(radiance, radiance.width, radiance.height, limits, config, number)
             while not sampler.done and not self.should_stop():
                 batch = sampler.ask()
                 sampler.tell(batch, radiance(batch))
+            if not sampler.done:
+                mi.Log(mi.LogLevel.Warn, f"pmc: cancelled at {sampler.spp:.3g} samples a pixel")
             if sampler.rejected:
                 mi.Log(mi.LogLevel.Warn, f"pmc: {sampler.rejected} samples were not finite or negative")
             self._put(film, sampler, radiance.aov_names)

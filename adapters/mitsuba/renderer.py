@@ -99,6 +99,11 @@ class MitsubaRenderer:
         return variants.probe()
 
     @property
+    def signed(self) -> bool:
+        """Whether single samples may be negative: a wavelength's colour lies outside the gamut of RGB."""
+        return "spectral" in self.variant
+
+    @property
     def aovs(self) -> int:
         """How many channels come after RGB."""
         return len(self.aov_names)

@@ -14,6 +14,7 @@ from types import FrameType
 from typing import Any
 
 from pmc_sampler import Sampler
+from pmc_sampler.sampler import sampler_for
 
 from . import settings
 from .checkpoint import Checkpoint
@@ -102,14 +103,7 @@ def _job(options: argparse.Namespace) -> Job:
         if resumed is not None:
             return Job(radiance, resumed, checkpoint, dict(checkpoint.seconds))
     try:
-        sampler = Sampler(
-            radiance.width,
-            radiance.height,
-            budget,
-            config,
-            seed=options.seed,
-            aovs=getattr(radiance, "aovs", 0),
-        )
+        sampler = sampler_for(radiance, radiance.width, radiance.height, budget, config, options.seed)
     except (ValueError, TypeError, MemoryError) as error:
         raise CommandError(str(error)) from error
     return Job(radiance, sampler, checkpoint)

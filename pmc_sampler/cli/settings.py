@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pmc_sampler import Budget, Config
+from pmc_sampler.sampler import config_for
 
 from .arguments import DEFAULT_SPP
 from .errors import CommandError
@@ -17,14 +18,11 @@ _PRESETS = {"pmc": "default", "pmc-paper": "paper", "pt": "uniform"}
 def config(method: str, file: Path | None, radiance: Any = None) -> Config:
     """The method's settings; those in the TOML file, a ``preset`` too, take their place.
 
-    radiance: the renderer, once it is there. Its size scales the paper's population, and where it has a ``filter``, the
-    settings of its film's reconstruction filter, they are the image's unless the file names one.
+    radiance: the renderer, once it is there.
     """
     given = {} if file is None else _read(file)
     try:
-        size = (640, 480) if radiance is None else (radiance.width, radiance.height)
-        filtered = {} if "filter" in given else getattr(radiance, "filter", {})
-        return Config.from_dict({"preset": _PRESETS[method], **filtered, **given}, size)
+        return config_for(radiance, {"preset": _PRESETS[method], **given})
     except (ValueError, TypeError) as error:
         raise CommandError(str(error) if file is None else f"{str(file)!r}: {error}") from error
 

@@ -5,6 +5,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <mutex>
+
 #include "pmc.hpp"
 
 namespace nb = nanobind;
@@ -13,6 +15,23 @@ using namespace nb::literals;
 namespace {
 
 using Image = nb::ndarray<nb::numpy, float>;
+
+// The sampler with a lock: Python threads may ask, tell and look at the film at once.
+class Sampler : public pmc::Sampler {
+public:
+    using pmc::Sampler::Sampler;
+
+    // work() alone, without the interpreter's lock.
+    template <class Work>
+    auto alone(Work&& work) {
+        nb::gil_scoped_release release;
+        const std::lock_guard lock(mutex_);
+        return work();
+    }
+
+private:
+    std::mutex mutex_;
+};
 
 template <class T>
 auto view(const std::shared_ptr<const pmc::Batch>& batch, const T* data, std::size_t columns = 1) {
@@ -23,30 +42,32 @@ auto view(const std::shared_ptr<const pmc::Batch>& batch, const T* data, std::si
 }
 
 template <class T = float, class Fill>
-nb::ndarray<nb::numpy, T> image(const pmc::Film& film, std::size_t channels, Fill&& fill) {
+nb::ndarray<nb::numpy, T> image(Sampler& sampler, std::size_t channels, Fill&& fill, bool flat = true) {
+    const pmc::Film& film = sampler.film();
     const std::size_t shape[3] = {film.tiling.height, film.tiling.width, channels};
-    auto* data = new T[film.tiling.pixels() * channels];
+    auto* data = new T[film.tiling.pixels() * channels + 1];
     nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<T*>(p); });
-    {
-        nb::gil_scoped_release release;
-        fill(data);
-    }
-    return {data, channels == 1 ? std::size_t(2) : std::size_t(3), shape, owner};
+    sampler.alone([&] { fill(film, data); });
+    return {data, channels == 1 && flat ? std::size_t(2) : std::size_t(3), shape, owner};
 }
 
-nb::dict save(pmc::Sampler& sampler) {
+nb::dict save(Sampler& sampler) {
     nb::dict blocks;
+    std::vector<std::tuple<std::string, std::uint8_t*, std::size_t>> copies;
     pmc::Writer writer([&](const std::string& name, std::span<const std::byte> bytes) {
         auto* data = new std::uint8_t[bytes.size() + 1];
         if (!bytes.empty()) std::memcpy(data, bytes.data(), bytes.size());
-        nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<std::uint8_t*>(p); });
-        blocks[name.c_str()] = nb::ndarray<nb::numpy, std::uint8_t, nb::ndim<1>>(data, {bytes.size()}, owner);
+        copies.emplace_back(name, data, bytes.size());
     });
-    sampler.archive(writer);
+    sampler.alone([&] { sampler.archive(writer); });
+    for (auto& [name, data, size] : copies) {
+        nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<std::uint8_t*>(p); });
+        blocks[name.c_str()] = nb::ndarray<nb::numpy, std::uint8_t, nb::ndim<1>>(data, {size}, owner);
+    }
     return blocks;
 }
 
-void restore(pmc::Sampler& sampler, const nb::dict& blocks) {
+void restore(Sampler& sampler, const nb::dict& blocks) {
     std::vector<nb::ndarray<const std::uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>> kept;
     pmc::Reader reader([&](const std::string& name) -> std::span<const std::byte> {
         if (!blocks.contains(name.c_str())) throw std::runtime_error("the checkpoint has no block '" + name + "': it is damaged or of another version");
@@ -97,66 +118,61 @@ NB_MODULE(_core, m) {
                               view(b, b->index.data()), view(b, b->scramble.data()));
     });
 
-    nb::class_<pmc::Sampler>(m, "Sampler")
-        .def(nb::init<std::uint32_t, std::uint32_t, const pmc::Budget&, const pmc::Config&, std::uint64_t, std::uint32_t, unsigned>(),
-             "width"_a, "height"_a, "budget"_a, "config"_a, "seed"_a, "aovs"_a, "threads"_a)
-        .def("ask", [](pmc::Sampler& s) { return std::const_pointer_cast<pmc::Batch>(s.ask()); }, nb::call_guard<nb::gil_scoped_release>())
+    nb::class_<Sampler>(m, "Sampler")
+        .def(nb::init<std::uint32_t, std::uint32_t, const pmc::Budget&, const pmc::Config&, std::uint64_t, std::uint32_t, unsigned, bool>(),
+             "width"_a, "height"_a, "budget"_a, "config"_a, "seed"_a, "aovs"_a, "threads"_a, "signed"_a)
+        .def("ask", [](Sampler& s) { return s.alone([&] { return std::const_pointer_cast<pmc::Batch>(s.ask()); }); })
         .def("tell",
-             [](pmc::Sampler& s, const pmc::Batch& batch, nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> radiance) {
+             [](Sampler& s, const pmc::Batch& batch, nb::ndarray<const float, nb::ndim<2>, nb::c_contig, nb::device::cpu> radiance) {
                  const std::span<const float> values(radiance.data(), radiance.size());
-                 nb::gil_scoped_release release;
-                 s.tell(batch, values);
+                 s.alone([&] { s.tell(batch, values); });
              })
-        .def("drop", &pmc::Sampler::drop, nb::call_guard<nb::gil_scoped_release>())
-        .def("put_back", &pmc::Sampler::put_back, nb::call_guard<nb::gil_scoped_release>())
-        .def("done", [](pmc::Sampler& s) { return static_cast<int>(s.done()); })
-        .def_prop_ro("samples", &pmc::Sampler::samples)
-        .def_prop_ro("rejected", &pmc::Sampler::rejected)
-        .def_prop_ro("total", [](const pmc::Sampler& s) -> nb::object {
+        .def("drop", [](Sampler& s, const pmc::Batch& batch) { s.alone([&] { s.drop(batch); }); })
+        .def("put_back", [](Sampler& s, const pmc::Batch& batch) { s.alone([&] { s.put_back(batch); }); })
+        .def("is_open", [](Sampler& s, const pmc::Batch& batch) { return s.alone([&] { return s.is_open(batch); }); })
+        .def("done", [](Sampler& s) { return s.alone([&] { return static_cast<int>(s.done()); }); })
+        .def_prop_ro("samples", [](Sampler& s) { return s.alone([&] { return s.samples(); }); })
+        .def_prop_ro("rejected", [](Sampler& s) { return s.alone([&] { return s.rejected(); }); })
+        .def_prop_ro("total", [](const Sampler& s) -> nb::object {
             return s.total() == pmc::Sampler::unlimited ? nb::none() : nb::object(nb::int_(s.total()));
         })
-        .def_prop_ro("elapsed", &pmc::Sampler::elapsed)
-        .def("visible_noise", [](pmc::Sampler& s) { return s.film().visible_noise(s.threads()); })
-        .def("mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::corrected_mean(s.film(), s.config, o, s.threads()); }); })
-        .def("plain_mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::plain_mean(s.film(), o, s.threads()); }); })
-        .def("standard_error", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::standard_error(s.film(), o, s.threads()); }); })
-        .def("strategy", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::strategy(s.film(), o, s.threads()); }); })
-        .def("halves", [](pmc::Sampler& s) {
+        .def_prop_ro("elapsed", [](Sampler& s) { return s.alone([&] { return s.elapsed(); }); })
+        .def("visible_noise", [](Sampler& s) { return s.alone([&] { return s.film().visible_noise(s.threads()); }); })
+        .def("mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::corrected_mean(f, s.config, o, s.threads()); }); })
+        .def("plain_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::plain_mean(f, o, s.threads()); }); })
+        .def("pool_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::pool_mean(f, s.config, o, s.threads()); }); })
+        .def("standard_error", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::standard_error(f, o, s.threads()); }); })
+        .def("strategy", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::strategy(f, o, s.threads()); }); })
+        .def("halves", [](Sampler& s) {
             std::vector<float> second(s.film().tiling.pixels() * 3);
-            auto a = image(s.film(), 3, [&](float* o) { pmc::halves(s.film(), o, second.data(), s.threads()); });
-            auto b = image(s.film(), 3, [&](float* o) { std::copy(second.begin(), second.end(), o); });
+            auto a = image(s, 3, [&](const pmc::Film& f, float* o) { pmc::halves(f, o, second.data(), s.threads()); });
+            auto b = image(s, 3, [&](const pmc::Film&, float* o) { std::copy(second.begin(), second.end(), o); });
             return nb::make_tuple(a, b);
         })
-        .def("counts", [](pmc::Sampler& s) {
-            return image<std::uint32_t>(s.film(), 1, [&](std::uint32_t* o) {
-                pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = s.film().sums[slot].n; });
+        .def("counts", [](Sampler& s) {
+            return image<std::uint32_t>(s, 1, [&](const pmc::Film& f, std::uint32_t* o) {
+                pmc::for_each_pixel(f, s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = f.sums[slot].n; });
             });
         })
-        .def("pool_mean", [](pmc::Sampler& s) { return image(s.film(), 3, [&](float* o) { pmc::pool_mean(s.film(), s.config, o, s.threads()); }); })
-        .def("beta", [](pmc::Sampler& s) {
-            return image(s.film(), 1, [&](float* o) {
-                pmc::for_each_pixel(s.film(), s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = s.film().beta(slot); });
+        .def("beta", [](Sampler& s) {
+            return image(s, 1, [&](const pmc::Film& f, float* o) {
+                pmc::for_each_pixel(f, s.threads(), [&](std::size_t i, std::size_t slot) { o[i] = f.beta(slot); });
             });
         })
-        .def("alpha", [](pmc::Sampler& s) {
+        .def("alpha", [](Sampler& s) {
             const std::size_t kernels = s.config.kernels(), width = s.film().tiling.width;
-            auto flat = image(s.film(), 3, [&](float* o) {
-                for (std::size_t i = 0; i < s.film().tiling.pixels(); ++i) {
-                    const auto a = s.alpha().at(static_cast<std::uint32_t>(i % width), static_cast<std::uint32_t>(i / width));
-                    std::copy_n(a.data(), 3, o + 3 * i);
-                }
-            });
-            return nb::make_tuple(flat, kernels);
+            return image(s, kernels, [&](const pmc::Film& f, float* o) {
+                for (std::size_t i = 0; i < f.tiling.pixels(); ++i)
+                    std::copy_n(s.alpha().at(static_cast<std::uint32_t>(i % width), static_cast<std::uint32_t>(i / width)).data(), kernels, o + kernels * i);
+            }, false);
         })
-        .def("aovs", [](pmc::Sampler& s) {
-            const pmc::Film& film = s.film();
-            const std::size_t c = film.aovs, shape[3] = {film.tiling.height, film.tiling.width, c};
-            auto* data = new float[film.tiling.pixels() * c + 1];
-            nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<float*>(p); });
-            pmc::for_each_pixel(film, s.threads(), [&](std::size_t i, std::size_t slot) {
-                for (std::size_t k = 0; k < c; ++k) data[i * c + k] = film.sums[slot].n ? static_cast<float>(film.aov_sums[slot * c + k] / film.sums[slot].n) : 0.0f;
-            });
-            return nb::ndarray<nb::numpy, float>(data, 3, shape, owner);
+        .def("aovs", [](Sampler& s) {
+            const std::size_t c = s.film().aovs;
+            return image(s, c, [&](const pmc::Film& f, float* o) {
+                pmc::for_each_pixel(f, s.threads(), [&](std::size_t i, std::size_t slot) {
+                    for (std::size_t k = 0; k < c; ++k) o[i * c + k] = f.sums[slot].n ? static_cast<float>(f.aov_sums[slot * c + k] / f.sums[slot].n) : 0.0f;
+                });
+            }, false);
         })
         .def("save", &save)
         .def("restore", &restore);

@@ -57,6 +57,9 @@ void Sampler::archive(Archive& a) {
     a.value("batches.waiting", n_waiting);
     if constexpr (Archive::reading) {
         if (n_untold + n_waiting > 2 * (std::uint64_t(config.lookahead) + 1)) throw std::runtime_error("the checkpoint's number of open batches is damaged");
+        if (issued_ > total_ || told_ > drawn_batches_ || drawn_batches_ - told_ > 2 * (std::uint64_t(config.lookahead) + 1) ||
+            n_untold + n_waiting != drawn_batches_ - told_)
+            throw std::runtime_error("the checkpoint's counts of batches and samples contradict each other: it is damaged");
         pool_.set_cursor(cursor);
         placement_.set_cursor(placement);
         elapsed_before_ = seconds;
@@ -72,6 +75,7 @@ void Sampler::archive(Archive& a) {
             auto batch = std::make_shared<Batch>();
             archive_batch(a, *batch, name);
             batch->owner = id_;
+            if (batch->number < told_ || batch->number >= drawn_batches_) throw std::runtime_error("the checkpoint's batch numbers are damaged");
             check_batch(*batch, film_, population_of(batch->number), config.moves);
             return batch;
         };

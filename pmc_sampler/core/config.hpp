@@ -28,7 +28,7 @@ struct Config {
     static constexpr double automatic = -1.0;  // of initial_spp: an eighth of the budget, 4 to 16
 
     // The batch
-    std::uint64_t batch = 0;        // samples in a batch; 0: see Sampler::batch_size(). Ignored where `population` sets the size
+    std::uint64_t batch = 0;        // samples in a batch; 0: see Sampler::batch_size(). Once it adapts, `population` sets the size where given
     double initial_spp = automatic; // samples a pixel from the pool before anything adapts
     double pool_share = 0.15;       // share of each batch from the stratified pool, in [0, 1]
     double direct_share = 0.75;     // share of the rest drawn from beta and evaluated where drawn, in [0, 1]
@@ -78,7 +78,7 @@ struct Config {
         in_range("direct_share", direct_share, 0.0, 1.0);
         in_range("lookahead", lookahead, 0, 64);
         in_range("moves", moves, 0, 1024);
-        if (radii.size() > max_kernels) fail("radii", std::to_string(radii.size()) + " values", "1 to 3 radii in pixels");
+        if (radii.size() > max_kernels) throw std::invalid_argument("radii holds " + std::to_string(radii.size()) + " values: expected 1 to 3 radii in pixels");
         for (double radius : radii)
             if (!(radius > 0.0 && radius <= 65536.0)) fail("radii", number(radius), "pixels above 0 and at most 65536");
         in_range("eliminate", eliminate, 0.0, 1.0);

@@ -38,9 +38,10 @@ static_assert(sizeof(PixelSums) == 64);
 
 class Film {
 public:
-    Film(std::uint32_t width, std::uint32_t height, const Config& config, std::uint32_t aovs)
+    // is_signed: radiance may be negative, as single samples of a spectral renderer are outside the gamut of RGB.
+    Film(std::uint32_t width, std::uint32_t height, const Config& config, std::uint32_t aovs, bool is_signed = false)
         : tiling(width, height), sums(tiling.slots()), pool_mean(tiling.slots()), strategy(tiling.slots()), drawn(tiling.slots()),
-          aov_sums(tiling.slots() * aovs), aovs(aovs), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
+          aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
           rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), live_(!uniform_ && config.adapt_beta_every == 1) {}
 
     // Adds a batch; radiance holds 3 + aovs floats a sample. Samples that are not finite or negative are left out, and their
@@ -139,10 +140,11 @@ public:
     static constexpr std::size_t bytes_per_pixel =
         sizeof(PixelSums) + sizeof(float[3]) + sizeof(std::uint32_t[3]) + sizeof(std::uint32_t) + sizeof(float);
 
-    // A sample's channels: radiance finite and not negative, the others finite.
-    static bool valid(const float* v, std::uint32_t aovs) {
+    // A sample's channels: radiance finite and, unless it is signed, not negative; the others finite.
+    bool valid(const float* v) const {
         bool ok = true;
-        for (int c = 0; c < 3; ++c) ok &= v[c] >= 0.0f && v[c] <= std::numeric_limits<float>::max();
+        const float highest = std::numeric_limits<float>::max(), lowest = is_signed ? -highest : 0.0f;
+        for (int c = 0; c < 3; ++c) ok &= v[c] >= lowest && v[c] <= highest;
         for (std::uint32_t c = 3; c < 3 + aovs; ++c) ok &= std::isfinite(v[c]);
         return ok;
     }
@@ -154,6 +156,7 @@ public:
     Zeroed<std::uint32_t> drawn;  // samples drawn from each pixel's adaptive sequence: the next one's index
     Zeroed<double> aov_sums;
     std::uint32_t aovs;
+    bool is_signed;
     std::uint64_t samples = 0;
 
     template <class Archive>
@@ -182,7 +185,7 @@ private:
     // One sample; false where it is left out. Its deviation is taken from the mean before it (Welford 1962,
     // doi:10.1080/00401706.1962.10490022), so that a large mean with a tiny spread loses nothing.
     bool add_sample(std::size_t slot, std::uint8_t tag, const float* v, float* luminance_out) {
-        if (!valid(v, aovs)) {
+        if (!valid(v)) {
             if (luminance_out) *luminance_out = std::numeric_limits<float>::quiet_NaN();
             return false;
         }

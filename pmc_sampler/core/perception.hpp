@@ -47,7 +47,10 @@ public:
         if (!(L > lowest)) return values_[0];
         const std::uint32_t offset = std::bit_cast<std::uint32_t>(L) - low;
         const std::uint32_t i = offset >> shift;
-        if (i + 1 >= entries) return 323.5936f / (L * L);  // 10^2.51: the curve is a straight line from 79 cd/m2 on
+        if (i + 1 >= entries) {  // the curve is a straight line from 79 cd/m2 on, at 10^-1.255 of the luminance
+            const float inverse = 17.988709f / L;
+            return inverse * inverse;
+        }
         const float t = static_cast<float>(static_cast<std::int32_t>(offset & ((1u << shift) - 1))) * (1.0f / (1u << shift));
         return values_[i] + t * (values_[i + 1] - values_[i]);
     }

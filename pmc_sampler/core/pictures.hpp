@@ -32,32 +32,33 @@ inline void plain_mean(const Film& film, float* out, ThreadPool& threads) {
 }
 
 // The plain mean P with the energy that it lacks. The pool's mean U is unbiased, for no pool sample's being taken depends on
-// any value; D = U - P is noise and what steering cost. It is shared out among the neighbours by weights w that fall to 0 in
-// black pixels:  image = P + w B(D / B(w)),  B a symmetric smoother, so that the sum over the image is that of U.
+// any value; D = U - P is noise and what steering cost. In each channel it is shared out among the neighbours by weights w that
+// fall to 0 where the channel is black:  image = P + w B(D / B(w)),  B a symmetric smoother, so that the sum over the image is
+// that of U.
 inline void corrected_mean(const Film& film, const Config& config, float* out, ThreadPool& threads) {
     plain_mean(film, out, threads);
     if (config.correction == 0.0 || config.is_uniform()) return;
     const Tiling& t = film.tiling;
     const std::size_t n = t.pixels();
     const Smoother smooth(t.width, t.height, config.correction_sigma);
-    std::vector<float> weight(n), surroundings(n), ones(n, 1.0f);
-    for (std::size_t i = 0; i < n; ++i) surroundings[i] = weight[i] = luminance(out[3 * i], out[3 * i + 1], out[3 * i + 2]);
-    smooth(surroundings, threads);
+    const auto strength = static_cast<float>(config.correction);
+    const float lowest = film.is_signed ? -std::numeric_limits<float>::infinity() : 0.0f;
+    std::vector<float> weight(n), spread(n), residual(n), ones(n, 1.0f);
     smooth(ones, threads);
-    for (std::size_t i = 0; i < n; ++i) {
-        const float knee = static_cast<float>(config.correction_knee) * surroundings[i] / ones[i];
-        weight[i] = weight[i] > 0.0f ? weight[i] / (weight[i] + knee) : 0.0f;
-    }
-    std::vector<float> spread = weight, residual(n);
-    smooth(spread, threads);
     for (int c = 0; c < 3; ++c) {
+        for (std::size_t i = 0; i < n; ++i) spread[i] = weight[i] = std::max(0.0f, out[3 * i + c]);
+        smooth(spread, threads);
+        for (std::size_t i = 0; i < n; ++i) {
+            const float knee = static_cast<float>(config.correction_knee) * spread[i] / ones[i];
+            spread[i] = weight[i] = weight[i] > 0.0f ? weight[i] / (weight[i] + knee) : 0.0f;
+        }
+        smooth(spread, threads);
         for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
-            const PixelSums& p = film.sums[slot];
-            residual[i] = p.n_pool && spread[i] > 1e-12f ? (film.pool_mean[slot][c] - out[3 * i + c]) / spread[i] : 0.0f;
+            const bool known = film.sums[slot].n_pool && spread[i] > 1e-12f;
+            residual[i] = known ? (film.pool_mean[slot][c] - out[3 * i + c]) / spread[i] : 0.0f;
         });
         smooth(residual, threads);
-        const auto strength = static_cast<float>(config.correction);
-        for (std::size_t i = 0; i < n; ++i) out[3 * i + c] = std::max(0.0f, out[3 * i + c] + strength * weight[i] * residual[i]);
+        for (std::size_t i = 0; i < n; ++i) out[3 * i + c] = std::max(lowest, out[3 * i + c] + strength * weight[i] * residual[i]);
     }
 }
 
@@ -83,7 +84,8 @@ inline void halves(const Film& film, float* first, float* second, ThreadPool& th
         const std::uint32_t n1 = p.n_half(), n2 = p.n - n1;
         for (int c = 0; c < 3; ++c) {
             first[3 * i + c] = p.half_mean[c];
-            second[3 * i + c] = n2 ? static_cast<float>(std::max(0.0, (p.sum[c] - n1 * double(p.half_mean[c])) / n2)) : 0.0f;
+            const double rest = n2 ? (p.sum[c] - n1 * double(p.half_mean[c])) / n2 : 0.0;
+            second[3 * i + c] = static_cast<float>(film.is_signed ? rest : std::max(0.0, rest));
         }
     });
 }

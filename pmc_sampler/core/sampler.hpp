@@ -31,10 +31,11 @@ enum class Done : std::uint8_t { no, spp, seconds, visible_noise };
 class Sampler {
 public:
     // aovs: channels after RGB that are averaged along. threads: 0 for one on each processor; the image does not depend on it.
+    // is_signed: radiance may be negative.
     Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& settings = {}, std::uint64_t seed = 0,
-            std::uint32_t aovs = 0, unsigned threads = 0)
+            std::uint32_t aovs = 0, unsigned threads = 0, bool is_signed = false)
         : config(settings.resolved(width, height)), budget(checked(budget)), seed(seed), threads_(threads),
-          film_(width, height, config, aovs), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
+          film_(width, height, config, aovs, is_signed), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
           memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, key(seed), config.filter, config.filter_radius),
           populations_(std::size_t(config.lookahead) + 1), id_(next_id().fetch_add(1)) {
         const double pixels = static_cast<double>(film_.tiling.pixels());
@@ -102,6 +103,11 @@ public:
         catch_up();
     }
 
+    bool is_open(const Batch& batch) const {
+        const auto open = open_.find(batch.number);
+        return batch.owner == id_ && open != open_.end() && open->second.get() == &batch;
+    }
+
     // Closes a batch without an answer, to be asked again next: the same samples, as if it had not been asked.
     void put_back(const Batch& batch) {
         const auto open = find_open(batch);
@@ -166,13 +172,13 @@ private:
         std::atomic<std::size_t> invalid{0};
         threads_.ranges(batch.size(), 16384, [&](std::size_t first, std::size_t last) {
             std::size_t bad = 0;
-            for (std::size_t i = first; i < last; ++i) bad += !Film::valid(radiance.data() + i * channels, film_.aovs);
+            for (std::size_t i = first; i < last; ++i) bad += !film_.valid(radiance.data() + i * channels);
             invalid += bad;
         });
         if (2 * invalid > batch.size())
             throw std::invalid_argument("tell: " + std::to_string(invalid) + " of " + std::to_string(batch.size()) + " samples of batch " +
                                         std::to_string(batch.number) +
-                                        " are NaN, infinite or negative; expected linear radiance: mend the renderer, or drop the batch");
+                                        (film_.is_signed ? " are NaN or infinite" : " are NaN, infinite or negative") + "; expected linear radiance: mend the renderer, or drop the batch");
     }
 
     // Everything that is in turn. Batch k is drawn from what batches up to k - 1 - lookahead told: before the next is taken in,
