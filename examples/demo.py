@@ -126,7 +126,7 @@ def contact_sheet(path: Path, results: dict[str, Result], reference: references.
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
-    titles = {"pt": "path tracing", "pmc": "PMC, same samples", "reference": "reference"}
+    titles = {"pt": "path tracing", "pmc": "PMC, same samples", "reference": f"path tracing, {reference.spp} spp"}
     figure, axes = pyplot.subplots(2, 4, figsize=(16, 6.6), layout="constrained")
     for column, (name, image) in enumerate(pictures(results, reference).items()):
         axes[0, column].imshow(display(image), interpolation="nearest")

@@ -22,8 +22,8 @@ class Config:
     The batch
         batch: samples in a batch; None: one for each pixel before anything adapts and one for every second pixel after,
             4096 at least. A `population` that is given sets the size of the batches that adapt.
-        initial_spp: samples a pixel from the stratified pool before anything adapts; None: an eighth of the budget, held
-            to 4 to 16.
+        initial_spp: samples a pixel from the stratified pool before anything adapts; None: an eighth of the budget,
+            held to 4 to 16.
         pool_share: share of each batch from the stratified pool, in [0, 1]; 1 is uniform sampling.
         direct_share: share of the rest drawn from `beta` and evaluated where drawn, outside the population, in [0, 1].
         lookahead: batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]; so many batches may be
@@ -32,10 +32,11 @@ class Config:
     The population (paper, 4.1 and 4.3)
         population: members n, at most the pixels of the image; None: what fills the batch.
         moves: T_R, kernel moves of a member in each iteration, in [0, 1024] (Figure 2).
-        radii: d_k, radii of the kernel's disks in pixels, one to three (Eq. 4); None: 0.5, 1.5 and 4, or the larger side
-            of the image where that is less.
+        radii: d_k, radii of the kernel's disks in pixels, one to three (Eq. 4); None: 0.5, 1.5 and 4, or the larger
+            side of the image where that is less.
         eliminate: share of the members replaced in each iteration by var / N_used, in [0, 1] (4.3.1).
-        regenerate_pool: share of the replacements placed by the pool; the others are drawn from `beta`, in [0, 1] (4.3.2).
+        regenerate_pool: share of the replacements placed by the pool; the others are drawn from `beta`, in [0, 1]
+            (4.3.2).
         regenerate_jitter: pixels by which a member regenerated from `beta` is moved at most in x and in y, in [0, 64]
             (4.3.2).
         evaluate_regenerated: whether a regenerated member is evaluated before it moves (4.1, last paragraph).
@@ -47,7 +48,8 @@ class Config:
         alpha_memory: how far the alpha remembered at a place moves to that of a member there, in [0, 1]; a regenerated
             member starts from what is remembered. 0 remembers nothing, and `Film.alpha` then stays uniform.
         beta: "gain": var / (tvi(I)^2 n^2), the squared perceptual error that one more sample removes, with var the
-            variance of a pixel's n samples of luminance and I their mean; "variance": var / tvi(I), the paper's (4.3.2).
+            variance of a pixel's n samples of luminance and I their mean; "variance": var / tvi(I), the paper's
+            (4.3.2).
         beta_power: pixels are drawn in proportion to beta to this power, in [0.25, 2].
 
     The image

@@ -24,9 +24,9 @@ class Film:
     def mean(self) -> FloatImage:
         """The image: the plain mean with the energy that steering cost it.
 
-        With P the plain mean, U the mean of the stratified pool's samples, w a weight that falls to 0 where P is black and
-        B a symmetric smoother:  P + w B((U - P) / B(w)), channel by channel. Its sum over the image is that of U, which is
-        unbiased, at `Config.correction` 1 and but for results below zero, which are set to zero.
+        With P the plain mean, U the mean of the stratified pool's samples, w a weight that falls to 0 where P is black
+        and B a symmetric smoother:  P + w B((U - P) / B(w)), channel by channel. Its sum over the image is that of U,
+        which is unbiased, at `Config.correction` 1 and but for results below zero, which are set to zero.
         """
         return self._native.mean()
 

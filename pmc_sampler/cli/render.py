@@ -44,7 +44,12 @@ class Job:
 def render(options: argparse.Namespace) -> int:
     """Render, write and report; returns the exit status."""
     output = Output(options)
-    job = _job(options)
+    with (
+        _stop_asked() as asked
+    ):  # an interrupt in the middle of a renderer's import would end in that renderer's traceback
+        job = _job(options)
+    if asked():
+        raise CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
     failure: CommandError | None = None
     with progress(f"{options.scene}, {options.method}") as shown:
         try:
