@@ -1,0 +1,152 @@
+// Random samplers driven at random, to be run under sanitizers: batches open, told out of order, dropped, put back and partly
+// invalid; saved and restored on the way; every picture read.  stress SEED SAMPLERS THREADS
+#include <cstdio>
+#include <cstdlib>
+#include <limits>
+#include <map>
+#include <memory>
+#include <random>
+#include <stdexcept>
+#include <string>
+#include <vector>
+
+#include <pmc.hpp>
+
+namespace {
+
+std::mt19937_64 generator;
+
+std::uint32_t below(std::uint32_t n) { return static_cast<std::uint32_t>(generator() % n); }
+double share() { return below(4) == 0 ? 0.0 : below(4) == 0 ? 1.0 : below(1001) / 1000.0; }
+
+void require(bool holds, const char* what) {
+    if (!holds) throw std::runtime_error(std::string("does not hold: ") + what);
+}
+
+pmc::Config random_config(std::uint32_t width, std::uint32_t height) {
+    pmc::Config c;
+    if (below(2)) c.initial_spp = below(3);
+    c.pool_share = below(8) ? 0.3 * share() : 1.0;
+    c.direct_share = share();
+    c.lookahead = below(4);
+    if (below(3) == 0) c.population = 1 + below(width * height);
+    else if (below(2)) c.batch = 1 + below(20000);
+    c.moves = 1 + below(5);
+    c.radii.clear();
+    for (std::uint32_t k = below(4); k > 0; --k) c.radii.push_back((0.01 + 0.99 * below(1001) / 1000.0) * std::max(width, height));
+    c.eliminate = share();
+    c.regenerate_pool = share();
+    c.regenerate_jitter = 3.0 * share();
+    c.evaluate_regenerated = below(2);
+    c.adapt_alpha_every = 1 + below(3);
+    c.adapt_beta_every = 1 + below(3);
+    c.alpha_memory = share();
+    c.beta = below(2) ? pmc::Beta::gain : pmc::Beta::variance;
+    const double powers[] = {0.5, 1.0, 1.5, 2.0};
+    c.beta_power = powers[below(4)];
+    c.filter = static_cast<pmc::Filter>(below(4));
+    c.filter_radius = below(2) ? 0.5 : 2.0;
+    c.correction_sigma = 0.5 + 30.0 * share();
+    return c;
+}
+
+std::vector<float> radiance_of(const pmc::Batch& batch, std::uint32_t aovs, bool faults) {
+    const std::size_t channels = 3 + aovs;
+    std::vector<float> values(batch.size() * channels);
+    for (std::size_t i = 0; i < batch.size(); ++i) {
+        const float u = pmc::sobol_pair(batch.scramble[i], batch.index[i], 1).x, lit = batch.pixel[i] % 3 ? 1.0f : 0.0f;
+        for (std::size_t c = 0; c < channels; ++c) values[i * channels + c] = lit * (u < 0.02f ? 1e4f : 0.1f + u);
+        if (faults && u > 0.9f) values[i * channels] = u > 0.95f ? std::numeric_limits<float>::quiet_NaN() : -1.0f;
+    }
+    return values;
+}
+
+// Through memory and into another sampler, which goes on in its place.
+std::unique_ptr<pmc::Sampler> restored(pmc::Sampler& sampler, std::uint32_t aovs, unsigned threads) {
+    std::map<std::string, std::vector<std::byte>> blocks;
+    pmc::Writer writer([&](const std::string& name, std::span<const std::byte> bytes) { blocks[name].assign(bytes.begin(), bytes.end()); });
+    sampler.archive(writer);
+    const pmc::Tiling& t = sampler.film().tiling;
+    auto again = std::make_unique<pmc::Sampler>(t.width, t.height, sampler.budget, sampler.config, sampler.seed, aovs, threads);
+    pmc::Reader reader([&](const std::string& name) -> std::span<const std::byte> { return blocks.at(name); });
+    again->archive(reader);
+    return again;
+}
+
+void read_pictures(pmc::Sampler& sampler) {
+    const pmc::Film& film = sampler.film();
+    std::vector<float> image(3 * film.tiling.pixels()), other(image.size());
+    const auto finite = [](const std::vector<float>& values) {
+        for (float v : values) require(v >= 0.0f && v <= std::numeric_limits<float>::max(), "a picture is finite and not negative");
+    };
+    pmc::corrected_mean(film, sampler.config, image.data(), sampler.threads()), finite(image);
+    pmc::pool_mean(film, sampler.config, image.data(), sampler.threads()), finite(image);
+    pmc::strategy(film, image.data(), sampler.threads()), finite(image);
+    pmc::halves(film, image.data(), other.data(), sampler.threads()), finite(image), finite(other);
+    pmc::standard_error(film, image.data(), sampler.threads());
+    std::uint64_t samples = 0;
+    for (std::size_t slot = 0; slot < film.sums.size(); ++slot) samples += film.sums[slot].n;
+    require(samples == sampler.samples(), "the samples of all pixels are those told");
+}
+
+void drive(unsigned threads) {
+    const std::uint32_t width = 1 + below(150), height = 1 + below(120), aovs = below(3);
+    pmc::Budget budget;
+    budget.spp = 0.5 + below(100) / 10.0;
+    const bool faults = below(3) == 0;
+    auto sampler = std::make_unique<pmc::Sampler>(width, height, budget, random_config(width, height), generator(), aovs, threads);
+    std::vector<std::shared_ptr<const pmc::Batch>> open;
+    while (sampler->done() == pmc::Done::no) {
+        if (open.empty() || below(3)) {
+            try {
+                open.push_back(sampler->ask());
+                continue;
+            } catch (const std::logic_error&) {
+                require(!open.empty(), "ask refuses only where something is open");
+            }
+        }
+        const std::size_t which = below(static_cast<std::uint32_t>(open.size()));
+        const auto batch = open[which];
+        open.erase(open.begin() + static_cast<std::ptrdiff_t>(which));
+        const std::uint32_t action = below(20);
+        if (action == 0) {
+            sampler->drop(*batch);
+        } else if (action == 1) {
+            sampler->put_back(*batch);
+        } else {
+            const auto valid = radiance_of(*batch, aovs, false);
+            try {
+                sampler->tell(*batch, faults ? radiance_of(*batch, aovs, true) : valid);
+            } catch (const std::invalid_argument&) {  // of a tiny batch, more than half may be faulty
+                require(faults, "what is valid is taken");
+                sampler->tell(*batch, valid);
+            }
+            try {
+                sampler->tell(*batch, valid);
+                require(false, "a batch is told once");
+            } catch (const std::invalid_argument&) {
+            }
+        }
+        if (below(30) == 0) sampler = restored(*sampler, aovs, threads), open.clear();
+        if (below(30) == 0) read_pictures(*sampler);
+    }
+    const double pixels = double(width) * height;
+    require(sampler->samples() + sampler->rejected() == static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels))), "the budget is met");
+    require(faults || sampler->rejected() == 0, "what is valid is taken");
+    read_pictures(*sampler);
+}
+
+}  // namespace
+
+int main(int argc, char** argv) {
+    if (argc != 4) return 2;
+    generator.seed(std::strtoull(argv[1], nullptr, 10));
+    const int samplers = std::atoi(argv[2]);
+    try {
+        for (int i = 0; i < samplers; ++i) drive(static_cast<unsigned>(std::atoi(argv[3])));
+    } catch (const std::exception& error) {
+        std::fprintf(stderr, "%s\n", error.what());
+        return 1;
+    }
+    std::printf("%d samplers\n", samplers);
+}
