@@ -100,3 +100,13 @@ def test_variants(mi: Any, agreement: Any, small_scene: Any, variant: str, monke
         true = camera.__call__
         monkeypatch.setattr(camera, "__call__", lambda *arguments: (true(*arguments)[0], 1.0))
         assert agreement(renderer(small_scene(), variant=variant), spp=16) < ALPHA
+
+
+def test_no_spectral_sample_is_lost() -> None:
+    """One wavelength's colour may lie outside the gamut of RGB: below zero, and right in the mean."""
+    from pmc_sampler import Budget, Config, render
+
+    radiance = renderer("cornell-box", variant="llvm_ad_spectral", size=(32, 24))
+    assert radiance.signed
+    assert render(radiance, 32, 24, Budget(spp=32), Config.uniform()).rejected == 0
+    assert not renderer("cornell-box", size=(32, 24)).signed
