@@ -81,6 +81,30 @@ def test_draws_follow_beta_between_adaptations(rule: str, every: int, renderers:
     assert known > 8
 
 
+def test_samples_under_way_count_as_taken(renderers: Any) -> None:
+    """With three batches ahead, batch k is drawn from what batches up to k - 4 told, and as if the samples of the three
+    between were taken: by var / (tvi^2 (n + under way)^2). The negative control is beta as it was.
+    """
+    config = Config(batch=1200, direct_share=1.0, pool_share=0.0, initial_spp=4.0, lookahead=3, beta_power=1.0)
+    sampler = Sampler(40, 30, Budget(spp=20), config, seed=5)
+    counts: list[np.ndarray] = []
+    films: list[tuple[np.ndarray, np.ndarray]] = []
+    while not sampler.done:
+        batch = sampler.ask()
+        counts.append(np.bincount(batch.pixel, minlength=1200))
+        sampler.tell(batch, renderers.textured(batch))
+        films.append((sampler.film.beta.ravel().astype(np.float64), sampler.film.samples.ravel().astype(np.float64)))
+    surprised = 0
+    for k in range(
+        12, len(counts)
+    ):  # by then the samples of the pool, four a pixel and four while beta is unknown, are told
+        beta, n = films[k - 4]
+        weight = beta * n**2 / (n + sum(counts[k - 3 : k])) ** 2
+        assert abs(counts[k] - 1200 * weight / weight.sum()).max() < 1.001
+        surprised += abs(counts[k] - 1200 * beta / beta.sum()).max() > 1.5
+    assert surprised > 4
+
+
 def test_draws_are_unbiased(renderers: SimpleNamespace) -> None:
     """Over random offsets the mean count of every pixel is its share: 600 draws of 37 from 100 pixels, each pixel
     within 5.5 standard errors (a false alarm in 2 x 10^5). The negative control is an offset that is always 0.5.

@@ -188,21 +188,25 @@ def weights(found: np.ndarray) -> np.ndarray:
     return found["all"]["m2"] / np.maximum(n - 1, 1) / np.maximum(found["rounds"], 1)
 
 
-def culled(eliminate: float, renderers: SimpleNamespace, tools: SimpleNamespace) -> tuple[np.ndarray, np.ndarray]:
-    """Weights of 3000 members before they are culled, and which of them survive."""
+def culled(
+    eliminate: float, renderers: SimpleNamespace, tools: SimpleNamespace, iterations: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """3000 members before they are culled once more, and which of them survive that."""
     config = free(population=3000, radii=(0.5,), moves=4, eliminate=eliminate, regenerate_pool=1.0)
     sampler = Sampler(120, 100, Budget(spp=90), config, seed=6)
-    batch = sampler.ask()
-    sampler.tell(batch, graded(renderers)(batch))
-    weight = weights(tools.members(sampler))
+    for _ in range(iterations):
+        batch = sampler.ask()
+        sampler.tell(batch, graded(renderers)(batch))
+    before = tools.members(sampler).copy()
     sampler.ask()
-    return weight, tools.members(sampler)["rounds"] > 0
+    return before, tools.members(sampler)["rounds"] > 0
 
 
 @pytest.mark.parametrize("eliminate", [0.0, 0.25, 0.4, 0.5, 0.9, 1.0])
 def test_as_many_are_culled_as_asked_for(eliminate: float, renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
     """Exactly; and those of no weight survive only where all others do."""
-    weight, survives = culled(eliminate, renderers, tools)
+    before, survives = culled(eliminate, renderers, tools)
+    weight = weights(before)
     assert survives.sum() == round((1 - eliminate) * 3000)
     weightless = weight < 1e-10
     assert 900 < weightless.sum() < 1100
@@ -212,25 +216,35 @@ def test_as_many_are_culled_as_asked_for(eliminate: float, renderers: SimpleName
         assert survives[~weightless].all()
 
 
-def test_survivors_are_drawn_by_weight(renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
-    """A fifth survives, drawn without replacement in proportion to w: the number of survivors in each class of weight
-    is within 5 standard deviations of 200 such draws by NumPy (a false alarm in 10^5 over the classes). The negative
-    control, survivors drawn regardless of weight, is not.
+@pytest.mark.parametrize("iterations", [1, 5])
+def test_survivors_are_drawn_by_weight(iterations: int, renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
+    """A fifth survives, drawn without replacement in proportion to w = var / N_used: the number of survivors in each
+    class of weight, and of N_used, is within 5 standard deviations of 200 such draws by NumPy (a false alarm in 10^5
+    over the classes). Negative controls: survivors drawn regardless of weight, and in proportion to var alone.
     """
-    weight, survives = culled(0.8, renderers, tools)
-    classes = np.digitize(weight, np.quantile(weight[weight > 1e-10], [0.25, 0.5, 0.75, 0.9]))
-    rng = np.random.default_rng(5)
+    before, survives = culled(0.8, renderers, tools, iterations)
+    weight, rng = weights(before), np.random.default_rng(5)
+    weight = np.where(weight > 1e-10, weight, 0)
+    strata = np.digitize(weight, np.quantile(weight[weight > 0], [0.25, 0.5, 0.75, 0.9]))
+    classes = strata * 2 + (before["rounds"] > 1)
+
+    def counted(chosen: np.ndarray) -> np.ndarray:
+        return np.bincount(classes[chosen], minlength=10)
 
     def drawn(w: np.ndarray) -> np.ndarray:
-        chosen = rng.choice(3000, survives.sum(), replace=False, p=w / w.sum())
-        return np.bincount(classes[chosen], minlength=5)
+        return counted(rng.choice(3000, survives.sum(), replace=False, p=w / w.sum()))
 
-    observed = np.bincount(classes[survives], minlength=5)
-    expected = np.array([drawn(np.where(weight > 1e-10, weight, 0)) for _ in range(200)])
+    expected = np.array([drawn(weight) for _ in range(200)])
     deviation = np.maximum(expected.std(axis=0), 0.5)
-    assert (abs(observed - expected.mean(axis=0)) < 5 * deviation).all()
-    assert (abs(drawn(np.ones(3000)) - expected.mean(axis=0)) > 5 * deviation).any()
-    assert observed[-1] > 0.5 * (classes == 4).sum()
+
+    def stands_out(found: np.ndarray) -> bool:
+        return bool((abs(found - expected.mean(axis=0)) > 5 * deviation).any())
+
+    assert not stands_out(counted(survives))
+    assert stands_out(drawn(np.ones(3000)))
+    if iterations > 1:
+        assert (before["rounds"] > 1).sum() > 300
+        assert stands_out(drawn(weight * before["rounds"]))
 
 
 @pytest.mark.parametrize("jitter", [0.0, 1.0, 4.0])
