@@ -72,6 +72,21 @@ def test_a_batch_waits_for_the_first_that_is_due(renderers: SimpleNamespace) -> 
     assert some.ask().number == 2
 
 
+@pytest.mark.parametrize("lookahead", [0, 3])
+def test_where_visible_noise_ends_it(lookahead: int, renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
+    """The batch that meets the limit is the last on the film, however many others are open or told by then."""
+    made = Budget(visible_noise=0.25), config("default", lookahead)
+    expected = Sampler(33, 21, *made, seed=11)
+    expected.run(renderers.textured)
+    assert expected.samples > 2000
+    for order in range(6):
+        some = Sampler(33, 21, *made, seed=11)
+        for batch in tools.shuffled(some, renderers.textured, np.random.default_rng(order)):
+            some.tell(batch, renderers.textured(batch))
+        assert some.done == "visible_noise"
+        assert tools.pictures(some) == tools.pictures(expected)
+
+
 def test_lookahead_is_part_of_the_result(renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
     """The negative control of the order of answers: what batches know of one another does show in the bits."""
     one = finished(sampler("default", 0), renderers.textured, tools)[0]

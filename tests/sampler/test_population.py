@@ -172,6 +172,23 @@ def test_members_know_their_samples(renderers: SimpleNamespace, tools: SimpleNam
             assert running["m2"] == pytest.approx(((values - values.mean()) ** 2).sum(), rel=1e-3, abs=1e-6)
 
 
+@pytest.mark.parametrize("by_pool", [0.0, 0.5, 1.0])
+def test_members_are_evaluated_where_they_are_put(by_pool: float, renderers: Any, tools: Any) -> None:
+    """Each regenerated member's own sample lies in its pixel, whether beta or the pool put it there."""
+    config = free(population=200, moves=0, evaluate_regenerated=True, eliminate=0.4, regenerate_pool=by_pool)
+    sampler = Sampler(40, 30, Budget(spp=20), config, seed=3)
+    for _ in range(8):
+        batch = sampler.ask()
+        evaluated = sampler._native.save()["untold0.evaluated"].view(np.uint32)
+        found, (place, kernel) = tools.members(sampler)[evaluated], tools.proposals(sampler)
+        assert len(place) == len(evaluated) > 0
+        assert np.array_equal(batch.pixel[place], found["y"].astype(int) * 40 + found["x"].astype(int))
+        assert (kernel[place] == 3).all()
+        sampler.tell(batch, renderers.textured(batch))
+        told = renderers.textured(batch)[place] @ np.array([0.2126, 0.7152, 0.0722])
+        np.testing.assert_allclose(tools.members(sampler)["all"]["mean"][evaluated], told, rtol=1e-5)
+
+
 def graded(renderers: SimpleNamespace) -> Any:
     """Three stripes of one mean, the left without noise, the others of noise that differs thirtyfold."""
 
