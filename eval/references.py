@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmc_sampler import Budget, Config, Sampler, luminance, scenes
+from pmc_sampler.sampler import sampler_for
 
 SEED = 0x5EED_0000
 """Seed of the first replicate; measured runs use small seeds, so none shares a reference's samples."""
@@ -220,8 +221,7 @@ def _sampler(inner: Path, radiance: Any, width: int, height: int, spp: int, seed
         sampler = Sampler.load(inner)
         if sampler.seed == seed:
             return sampler
-    signed = getattr(radiance, "signed", False)
-    return Sampler(width, height, Budget(spp=spp), Config.uniform(), seed=seed, signed=signed)
+    return sampler_for(radiance, width, height, Budget(spp=spp), Config.uniform(), seed)
 
 
 def _save(path: Path, arrays: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> None:

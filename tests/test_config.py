@@ -203,7 +203,7 @@ def test_frozen_and_by_name() -> None:
 
 def test_default_suits_every_image() -> None:
     for width, height in ((1, 1), (1, 2), (3, 1), (7, 5), (500, 2)):
-        Sampler(width, height, Budget(spp=1)).ask()
+        assert len(Sampler(width, height, Budget(spp=1)).ask()) == width * height
 
 
 # --- Budgets ---------------------------------------------------------------------------------------------------------

@@ -28,13 +28,13 @@ struct PixelSums {
 
     std::uint32_t n_half() const { return n / 2 + n % 2; }
 };
+static_assert(sizeof(PixelSums) == 64);
+
 inline constexpr std::array<double, 1024> reciprocals = [] {
     std::array<double, 1024> table{};
     for (int i = 1; i < 1024; ++i) table[i] = 1.0 / i;
     return table;
 }();
-
-static_assert(sizeof(PixelSums) == 64);
 
 class Film {
 public:

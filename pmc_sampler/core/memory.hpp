@@ -55,7 +55,6 @@ public:
     std::size_t size() const { return size_; }
     T* data() { return data_.get(); }
     const T* data() const { return data_.get(); }
-    std::span<T> span() { return {data_.get(), size_}; }
     std::span<const T> span() const { return {data_.get(), size_}; }
 
 private:

@@ -261,7 +261,8 @@ def test_sizes_as_numpy_has_them() -> None:
 
 
 def test_uniform_sampling_has_no_kernel_to_check() -> None:
-    Sampler(9, 5, SPP, Config.uniform(radii=(100.0,), population=1000))
+    sampler = Sampler(9, 5, SPP, Config.uniform(radii=(100.0,), population=1000))
+    assert len(sampler.ask()) > 0
 
 
 def test_more_memory_than_there_is() -> None:
