@@ -2,8 +2,9 @@
 
 Every renderer of the project reads these files. They keep to a subset that all of them render: shapes
 `rectangle`, `cube`, `sphere`, `ply` and `obj`; BSDFs `diffuse`, `dielectric`, `roughdielectric`, `conductor`,
-`roughconductor`, `plastic` and `twosided`; emitters `area`, `point`, `directional`, `constant` and `envmap`;
-sensors `perspective` and `thinlens`. Each file takes the parameters `width`, `height`, `spp` and `max_depth`,
+`roughconductor`, `plastic`, `twosided` and `mask`, the rough ones with the distribution `ggx`; textures `bitmap` and
+`checkerboard`, not on spheres; emitters `area`, `point`, `directional`, `constant` and `envmap`; sensors
+`perspective` and `thinlens`. Each file takes the parameters `width`, `height`, `spp` and `max_depth`,
 and opens with a comment whose first sentence describes it.
 
 A new scene is a new file: nothing else has to be told about it.

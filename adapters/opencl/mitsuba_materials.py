@@ -45,12 +45,13 @@ class Materials:
         if node is None or key not in self._known:  # defaults differ: Mitsuba's is black on emitters
             params = mi.traverse(bsdf)
             material, images = _read(node, params, "")
+            textures: dict[str, Any] = {}
             for name, found in images.items():
                 texture = found.texture
                 if name == "normal_texture" and flip_green:
                     texture = replace(texture, pixels=_green_flipped(texture.pixels))
-                material = replace(material, **{name: self.texture(texture)})
-            self.materials.append(material)
+                textures[name] = self.texture(texture)
+            self.materials.append(replace(material, **textures))
             self._known[key] = len(self.materials) - 1, images
         return self._known[key]
 

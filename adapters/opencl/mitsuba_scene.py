@@ -60,9 +60,7 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
     Raises FileNotFoundError for a missing file, OSError for one that cannot be read, and ValueError for content that
     Mitsuba cannot load or that is not supported, which is named with its place in the file.
     """
-    file = Path(file)
-    if not file.exists():
-        raise FileNotFoundError(f"there is no scene file {file}")
+    file = loading._file(file)
     if size is not None:
         loading._check_size(size)
     with variants.active(_VARIANT), loading._files_beside(file):
@@ -231,7 +229,7 @@ def _mesh(node: Node, shape: Any, materials: Materials) -> Mesh:
         front = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         back = np.einsum("ti,ti->t", front, normals[triangles].sum(axis=1)) < 0.0
         triangles[back] = triangles[back][:, ::-1]
-    if node.get("flip_normals", False):
+    if node.get("flip_normals", False) and node.kind != "disk":  # a disk's to_world holds it already
         triangles = triangles[:, ::-1]
         normals = None if normals is None else -normals
     if node.kind in ("rectangle", "disk"):

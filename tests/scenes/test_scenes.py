@@ -22,7 +22,9 @@ SUBSET = {
         "roughconductor",
         "plastic",
         "twosided",
+        "mask",
     },
+    "texture": {"bitmap", "checkerboard"},
     "emitter": {"area", "point", "directional", "constant", "envmap"},
     "sensor": {"perspective", "thinlens"},
     "integrator": {"path"},
@@ -33,7 +35,7 @@ SUBSET = {
 
 
 def test_names() -> None:
-    assert {"cornell-box", "cornell-box-mirrors", "diffuse", "thin-lens"} <= set(NAMES)
+    assert {"cornell-box", "cornell-box-mirrors", "diffuse", "materials", "thin-lens"} <= set(NAMES)
     assert sorted(NAMES) == NAMES
 
 
