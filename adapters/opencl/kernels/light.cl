@@ -1,0 +1,172 @@
+// Lights: which one a path connects to, where on it, and the densities of both. A light is a row of the table; an area light is a
+// triangle or a sphere of its own. One is chosen in proportion to its power, by Walker's alias method.
+
+enum { LIGHT_RADIANCE, LIGHT_PLACE, LIGHT_ROWS };  // rgb and probability; position or direction and radius
+enum { LIGHT_KIND, LIGHT_PRIM, LIGHT_ALIAS, LIGHT_INTS };
+enum { LIGHT_TRIANGLE, LIGHT_SPHERE, LIGHT_POINT, LIGHT_DIRECTIONAL, LIGHT_ENVIRONMENT };
+
+typedef struct {
+    global const float4* rows;
+    global const int* ints;
+    global const float* thresholds;  // of the alias table
+#if ENVIRONMENT == 2
+    global const float4* map;         // ENVIRONMENT_HEIGHT rows of ENVIRONMENT_WIDTH + 1 nodes: radiance
+    global const float2* cells;       // ENVIRONMENT_HEIGHT - 1 rows of ENVIRONMENT_WIDTH: probability, alias threshold
+    global const int* cell_aliases;
+#endif
+} Lights;
+
+typedef struct {
+    float3 d;         // unit vector towards the light
+    float distance;
+    float3 radiance;  // over the density, which is per solid angle
+    float density;    // 0 for a light at a point or in one direction: no other strategy finds it
+} Connection;
+
+#if ENVIRONMENT
+// Into the map's frame, whose y is up, and to its nodes: column j lies at u = (j + 1/2) / width, row i at v = i / (height - 1).
+float2 environment_place(float3 d) {
+    const float3 l = (float3)(dot(d, (float3)(ENVIRONMENT_X)), dot(d, (float3)(ENVIRONMENT_Y)), dot(d, (float3)(ENVIRONMENT_Z)));
+    const float u = atan2(l.x, -l.z) * (0.5f * INV_PI), v = acos(clamp(l.y, -1.0f, 1.0f)) * INV_PI;
+    return (float2)(u - floor(u), v);
+}
+#endif
+
+float3 environment(const Lights* lights, float3 d, float* density) {
+#if ENVIRONMENT == 1
+    *density = 0.25f * INV_PI;
+    return (float3)(ENVIRONMENT_RADIANCE);
+#elif ENVIRONMENT == 2
+    const float2 place = environment_place(d);
+    float x = place.x - 0.5f / ENVIRONMENT_WIDTH;
+    x = (x - floor(x)) * ENVIRONMENT_WIDTH;
+    const float y = place.y * (ENVIRONMENT_HEIGHT - 1);
+    const int j = min((int)x, ENVIRONMENT_WIDTH - 1), i = min((int)y, ENVIRONMENT_HEIGHT - 2);
+    global const float4* node = lights->map + i * (ENVIRONMENT_WIDTH + 1) + j;
+    const float4 upper = mix(node[0], node[1], x - j), lower = mix(node[ENVIRONMENT_WIDTH + 1], node[ENVIRONMENT_WIDTH + 2], x - j);
+    const float sine = sqrt(max(1.0f - square(dot(d, (float3)(ENVIRONMENT_Y))), 1e-12f));
+    *density = lights->cells[i * ENVIRONMENT_WIDTH + j].x * (float)(ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1)) / (2.0f * PI * PI * sine);
+    return mix(upper, lower, y - i).xyz;
+#else
+    *density = 0.0f;
+    return (float3)(0.0f);
+#endif
+}
+
+#if LIGHTS
+// Density per solid angle with which `connect` finds a point of an area light, its choice included.
+float area_density(const Lights* lights, int light, float density) { return lights->rows[light * LIGHT_ROWS].w * density; }
+
+// Of a sphere, from outside: uniform in the cone that it fills; 1 - cos_max without cancellation.
+float cone(float ratio2) { return ratio2 / (1.0f + sqrt(max(0.0f, 1.0f - ratio2))); }
+
+Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, float u, float v, float choice) {
+    Connection c;
+    const float scaled = choice * LIGHTS;
+    int light = min((int)scaled, LIGHTS - 1);
+    if (scaled - light >= lights->thresholds[light]) light = lights->ints[light * LIGHT_INTS + LIGHT_ALIAS];
+    const float4 radiance = lights->rows[light * LIGHT_ROWS], place = lights->rows[light * LIGHT_ROWS + LIGHT_PLACE];
+    const int prim = lights->ints[light * LIGHT_INTS + LIGHT_PRIM];
+    c.radiance = radiance.xyz / radiance.w;
+    c.distance = INFINITY;
+    c.density = 0.0f;
+    switch (lights->ints[light * LIGHT_INTS + LIGHT_KIND]) {
+#if TRIANGLE_LIGHTS
+    case LIGHT_TRIANGLE: {
+        const float root = sqrt(u), b1 = 1.0f - root, b2 = v * root;
+        const float3 v0 = vertex(surfaces, prim, 0), e1 = vertex(surfaces, prim, 1) - v0, e2 = vertex(surfaces, prim, 2) - v0;
+        const float3 n = cross(e1, e2), to = v0 + b1 * e1 + b2 * e2 - p;
+        const float d2 = dot(to, to), cosine = -dot(n, to);  // both times their lengths
+        c.distance = sqrt(d2);
+        c.d = to / c.distance;
+        const bool seen = (place.w != 0.0f ? fabs(cosine) : cosine) > 0.0f && d2 > 0.0f;
+        const float density = d2 * c.distance * 2.0f / fabs(cosine);  // |n| = 2 area cancels
+        c.density = seen ? area_density(lights, light, density) : 0.0f;
+        c.radiance = seen ? radiance.xyz / c.density : (float3)(0.0f);
+        break;
+    }
+#endif
+#if SPHERE_LIGHTS
+    case LIGHT_SPHERE: {
+        const float3 to = place.xyz - p;
+        const float d2 = dot(to, to), r2 = place.w * place.w;
+        if (d2 <= r2) {  // from inside: uniform on the sphere
+            const float z = 1.0f - 2.0f * u, r = sqrt(max(0.0f, 1.0f - z * z));
+            float cosine;
+            const float sine = sincos(2.0f * PI * v, &cosine);
+            const float3 n = (float3)(r * cosine, r * sine, z), line = to + fabs(place.w) * n;
+            const float l2 = dot(line, line);
+            c.distance = sqrt(l2);
+            c.d = line / c.distance;
+            const float facing = place.w < 0.0f ? dot(n, c.d) : 0.0f;
+            c.density = facing > 0.0f ? area_density(lights, light, l2 / (4.0f * PI * r2 * facing)) : 0.0f;
+        } else if (place.w > 0.0f) {
+            const float rest = cone(r2 / d2), less = u * rest, sine2 = less * (2.0f - less), cosine = 1.0f - less;
+            float3 s, t;
+            const float3 axis = to * rsqrt(d2);
+            tangents(axis, &s, &t);
+            float c_phi;
+            const float s_phi = sincos(2.0f * PI * v, &c_phi), sine = sqrt(sine2);
+            c.d = normalize(sine * (c_phi * s + s_phi * t) + cosine * axis);
+            const float along = dot(to, c.d);
+            c.distance = along - sqrt(max(0.0f, r2 - (d2 - along * along)));
+            c.density = area_density(lights, light, 1.0f / (2.0f * PI * rest));
+        }
+        c.radiance = c.density > 0.0f ? radiance.xyz / c.density : (float3)(0.0f);
+        break;
+    }
+#endif
+#if POINT_LIGHTS
+    case LIGHT_POINT: {
+        const float3 to = place.xyz - p;
+        const float d2 = dot(to, to);
+        c.distance = sqrt(d2);
+        c.d = to / c.distance;
+        c.radiance = d2 > 0.0f ? c.radiance / d2 : (float3)(0.0f);
+        break;
+    }
+#endif
+#if DIRECTIONAL_LIGHTS
+    case LIGHT_DIRECTIONAL: c.d = place.xyz; break;
+#endif
+#if ENVIRONMENT == 1
+    case LIGHT_ENVIRONMENT: {
+        const float z = 1.0f - 2.0f * u, r = sqrt(max(0.0f, 1.0f - z * z));
+        float cosine;
+        const float sine = sincos(2.0f * PI * v, &cosine);
+        c.d = (float3)(r * cosine, r * sine, z);
+        c.density = radiance.w * 0.25f * INV_PI;
+        c.radiance = (float3)(ENVIRONMENT_RADIANCE) / c.density;
+        break;
+    }
+#elif ENVIRONMENT == 2
+    case LIGHT_ENVIRONMENT: {
+        const float scaled_u = u * (ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1));
+        int cell = min((int)scaled_u, ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1) - 1);
+        float rest = scaled_u - cell;
+        const float threshold = lights->cells[cell].y;
+        if (rest >= threshold) {
+            rest = (rest - threshold) / (1.0f - threshold);
+            cell = lights->cell_aliases[cell];
+        } else {
+            rest /= threshold;
+        }
+        const float x = (cell % ENVIRONMENT_WIDTH + 0.5f + clamp(rest, 0.0f, 1.0f)) / ENVIRONMENT_WIDTH;
+        const float y = (cell / ENVIRONMENT_WIDTH + v) / (ENVIRONMENT_HEIGHT - 1);
+        float s_phi, c_phi, s_theta, c_theta;
+        s_phi = sincos(2.0f * PI * x, &c_phi);
+        s_theta = sincos(PI * y, &c_theta);
+        const float3 l = (float3)(s_phi * s_theta, c_theta, -c_phi * s_theta);
+        c.d = l.x * (float3)(ENVIRONMENT_X) + l.y * (float3)(ENVIRONMENT_Y) + l.z * (float3)(ENVIRONMENT_Z);
+        float density;
+        const float3 seen = environment(lights, c.d, &density);
+        c.density = radiance.w * density;
+        c.radiance = c.density > 0.0f ? seen / c.density : (float3)(0.0f);
+        break;
+    }
+#endif
+    default: c.radiance = (float3)(0.0f);
+    }
+    return c;
+}
+#endif

@@ -1,0 +1,131 @@
+// The path tracer: one work item a path. Next-event estimation and scattering are combined by the power heuristic (Veach and
+// Guibas 1995, doi:10.1145/218380.218498).
+
+float power_heuristic(float a, float b) {
+    // In ratios: squares of densities overflow at mirrors that are nearly perfect.
+    const float r = b / a;
+    return 1.0f / (1.0f + r * r);
+}
+
+float largest(float3 c) { return max(max(c.x, c.y), c.z); }
+
+// Pairs of dimensions: 0 is the place in the pixel, 1 the one on the lens, then four for each segment.
+#define LENS_PAIR 1u
+#define SEGMENT_PAIRS(depth) (2u + 4u * (uint)(depth))
+
+Ray camera_ray(float2 position, const Sequence* sequence) {
+    Ray ray;
+    float3 d = (float3)(CAMERA_LEFT + position.x * CAMERA_DX, CAMERA_TOP + position.y * CAMERA_DY, 1.0f);
+    float3 o = (float3)(0.0f);
+#if THIN_LENS
+    const float8 r = draws(sequence, LENS_PAIR);
+    const float3 lens = cosine_direction(r.s0, r.s4);
+    o = (float3)(lens.x, lens.y, 0.0f) * APERTURE_RADIUS;
+    d = d - o / FOCUS_DISTANCE;
+#endif
+    o += d * CAMERA_NEAR;
+    const float length_ = length(d);
+    const float3 x = (float3)(CAMERA_X), y = (float3)(CAMERA_Y), z = (float3)(CAMERA_Z);
+    ray.o = (float3)(CAMERA_ORIGIN) + o.x * x + o.y * y + o.z * z;
+    ray.d = (d.x * x + d.y * y + d.z * z) / length_;
+    ray.tmax = CAMERA_RANGE * length_;
+    return ray;
+}
+
+float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, const Surfaces* surfaces, const Lights* lights) {
+    float3 sum = (float3)(0.0f), throughput = (float3)(1.0f);
+    float density = 0.0f;  // of the direction that scattering chose; 0 where only scattering finds what lies there
+    float eta = 1.0f;
+    Ray ray = camera_ray(position, &sequence);
+    for (int depth = 0; depth < MAX_DEPTH; ++depth) {
+        const Hit hit = nearest(geometry, &ray);
+        if (hit.prim == NOTHING) {
+#if ENVIRONMENT
+            if (depth == 0 && HIDE_EMITTERS) break;
+            float found;
+            const float3 seen = environment(lights, ray.d, &found);
+            found *= lights->rows[(LIGHTS - 1) * LIGHT_ROWS].w;
+            sum += throughput * seen * (density > 0.0f ? power_heuristic(density, found) : 1.0f);
+#endif
+            break;
+        }
+        Surface s = surface_at(surfaces, &hit, &ray);
+        const float3 wi = -ray.d;
+#if TRIANGLE_LIGHTS || SPHERE_LIGHTS
+        if (s.light >= 0 && !(depth == 0 && HIDE_EMITTERS)) {
+            const float4 place = lights->rows[s.light * LIGHT_ROWS + LIGHT_PLACE];
+            const float facing = dot(wi, s.ng);
+            float found = 0.0f;
+            bool shines = facing > 0.0f;
+#if SPHERES && SPHERE_LIGHTS
+            if (hit.prim >= TRIANGLES) {
+                const float3 to = place.xyz - ray.o;
+                const float d2 = dot(to, to), r2 = place.w * place.w;
+                found = d2 <= r2 ? hit.t * hit.t / (4.0f * PI * r2 * fabs(facing)) : 1.0f / (2.0f * PI * cone(r2 / d2));
+            }
+#endif
+#if TRIANGLE_LIGHTS
+            if (hit.prim < TRIANGLES) {
+                if (place.w != 0.0f) shines = facing != 0.0f;
+                const float3 v0 = vertex(surfaces, hit.prim, 0);
+                found = 2.0f * hit.t * hit.t / (fabs(facing) * length(cross(vertex(surfaces, hit.prim, 1) - v0, vertex(surfaces, hit.prim, 2) - v0)));
+            }
+#endif
+            if (shines) {
+                const float weight = density > 0.0f ? power_heuristic(density, area_density(lights, s.light, found)) : 1.0f;
+                sum += throughput * lights->rows[s.light * LIGHT_ROWS].xyz * weight;
+            }
+        }
+#endif
+        if (depth + 1 >= MAX_DEPTH) break;
+        const float8 r = draws(&sequence, SEGMENT_PAIRS(depth));
+        float opacity;
+        const Bsdf bsdf = bsdf_at(surfaces, &s, wi, &opacity);
+#if HAS_CUT_OUT
+        if (r.s7 >= opacity) {  // straight through, as by an interface that is not there
+            ray.o = leave(&s, ray.d);
+            ray.tmax = INFINITY;
+            density = 0.0f;
+            continue;
+        }
+#endif
+        const float3 local = to_local(&s, wi);
+#if LIGHTS
+#if HAS_DELTA
+        if (bsdf.kind != DIELECTRIC && bsdf.kind != CONDUCTOR)
+#endif
+        {
+            const Connection c = connect(lights, surfaces, s.p, r.s0, r.s4, r.s2);
+            if (largest(c.radiance) > 0.0f) {
+                float other;
+                const float3 value = evaluate(&bsdf, local, to_local(&s, c.d), &other);
+                if (largest(value) > 0.0f) {
+                    const float weight = c.density > 0.0f ? power_heuristic(c.density, other) : 1.0f;
+                    // The far end stays clear of the light's own surface by some ulps of the distance.
+                    Ray shadow;
+                    shadow.o = leave(&s, c.d);
+                    shadow.d = c.d;
+                    shadow.tmax = c.distance * (1.0f - 1e-4f);
+                    if (!occluded(geometry, &shadow)) sum += throughput * value * c.radiance * weight;
+                }
+            }
+        }
+#endif
+        const Scattered next = scatter(&bsdf, local, r.s1, r.s5, r.s6);
+        if (!next.valid) break;
+        throughput *= next.weight;
+        density = next.density;
+        eta *= next.eta;
+        ray.d = normalize(to_world(&s, next.wo));
+        ray.o = leave(&s, ray.d);
+        ray.tmax = INFINITY;
+        const float most = largest(throughput);
+        if (!(most > 0.0f)) break;
+        if (depth >= RR_DEPTH) {
+            const float survival = min(most * eta * eta, 0.95f);
+            if (r.s3 >= survival) break;
+            throughput /= survival;
+        }
+    }
+    return sum;
+}

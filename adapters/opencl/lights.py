@@ -1,0 +1,144 @@
+"""The table of lights: one row for each emitting triangle and sphere, each point and direction, and the environment."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .distributions import alias_table
+from .scene import Environment, PointLight, Scene
+
+__all__ = ["Lights", "light_table"]
+
+_TRIANGLE, _SPHERE, _POINT, _DIRECTIONAL, _ENVIRONMENT = range(5)
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
+
+
+@dataclass(frozen=True)
+class Lights:
+    """of_triangle, of_sphere: the row of each triangle (of the scene's meshes in turn) and sphere, -1 for none; macros
+    and arrays as in `tables.Tables`."""
+
+    of_triangle: NDArray[np.int32]
+    of_sphere: NDArray[np.int32]
+    macros: dict[str, Any]
+    arrays: dict[str, NDArray[Any]]
+
+
+def light_table(scene: Scene) -> Lights:
+    """All lights of a scene, each with the probability of being chosen: in proportion to its power.
+
+    Raises ValueError for light from infinity where there is nothing that it could fall on.
+    """
+    rows, ints, powers = [], [], []  # (k, 2, 4), (k, 3), (k,)
+    counts = [len(mesh.triangles) for mesh in scene.meshes]
+    of_triangle = np.full(sum(counts), -1, np.int32)
+    start = number = 0
+    for mesh, count in zip(scene.meshes, counts, strict=True):
+        if count and mesh.radiance is not None and max(mesh.radiance) > 0.0:
+            corners = mesh.vertices.astype(np.float64)[mesh.triangles]
+            areas = 0.5 * np.linalg.norm(
+                np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
+            )
+            kept = np.flatnonzero(areas > 0.0)  # a light without area sends out nothing
+            of_triangle[start + kept] = number + np.arange(len(kept))
+            number += len(kept)
+            for i in kept:
+                rows.append(((*mesh.radiance, 0.0), (0.0, 0.0, 0.0, float(mesh.emits_both_sides))))
+                ints.append((_TRIANGLE, start + int(i), 0))
+            powers.extend(math.pi * (1 + mesh.emits_both_sides) * areas[kept] * _luminance(mesh.radiance))
+        start += count
+    of_sphere = np.full(len(scene.spheres), -1, np.int32)
+    for i, sphere in enumerate(scene.spheres):
+        if sphere.radiance is not None and max(sphere.radiance) > 0.0:
+            of_sphere[i] = len(rows)
+            rows.append(
+                ((*sphere.radiance, 0.0), (*sphere.center, -sphere.radius if sphere.flipped else sphere.radius))
+            )
+            ints.append((_SPHERE, i, 0))
+            powers.append(4.0 * math.pi**2 * sphere.radius**2 * _luminance(sphere.radiance))
+    extent = _radius(scene)
+    for light in scene.lights:
+        if isinstance(light, PointLight):
+            rows.append(((*light.intensity, 0.0), (*light.position, 0.0)))
+            ints.append((_POINT, 0, 0))
+            powers.append(4.0 * math.pi * _luminance(light.intensity))
+        else:
+            direction = -np.array(light.direction) / np.linalg.norm(light.direction)
+            rows.append(((*light.irradiance, 0.0), (*direction, 0.0)))
+            ints.append((_DIRECTIONAL, 0, 0))
+            powers.append(math.pi * extent**2 * _luminance(light.irradiance))
+    kinds = [row[0] for row in ints]
+    macros: dict[str, Any] = {
+        "TRIANGLE_LIGHTS": kinds.count(_TRIANGLE),
+        "SPHERE_LIGHTS": kinds.count(_SPHERE),
+        "POINT_LIGHTS": kinds.count(_POINT),
+        "DIRECTIONAL_LIGHTS": kinds.count(_DIRECTIONAL),
+        "ENVIRONMENT": 0,
+    }
+    environment: dict[str, NDArray[Any]] = {}
+    if scene.environment is not None and float(scene.environment.radiance.max()) > 0.0:
+        mean = _environment(scene.environment, macros, environment)
+        rows.append(((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)))  # the last row, which the kernel counts on
+        ints.append((_ENVIRONMENT, 0, 0))
+        powers.append(4.0 * math.pi**2 * extent**2 * mean)
+    macros["LIGHTS"] = len(rows)
+    arrays: dict[str, NDArray[Any]] = {}
+    if rows:
+        weights = np.array(powers, np.float64)
+        if not weights.sum() > 0.0:  # only light that no luminance tells of
+            weights = np.ones(len(rows))
+        weights = np.maximum(weights, 1e-6 * weights.max())  # none may be impossible to choose
+        thresholds, aliases = alias_table(weights)
+        table = np.array(rows, np.float32)
+        table[:, 0, 3] = weights / weights.sum()
+        numbers = np.array(ints, np.int32)
+        numbers[:, 2] = aliases
+        arrays = {"light_rows": table, "light_ints": numbers, "light_thresholds": thresholds}
+    return Lights(of_triangle, of_sphere, macros, {**arrays, **environment})
+
+
+def _luminance(rgb: Any) -> float:
+    return float(np.dot(_LUMINANCE, rgb))
+
+
+def _radius(scene: Scene) -> float:
+    """Of a ball around everything in the scene; 1 where nothing has any extent."""
+    points = [mesh.vertices for mesh in scene.meshes if len(mesh.vertices)]
+    points += [np.array([np.array(s.center) - s.radius, np.array(s.center) + s.radius]) for s in scene.spheres]
+    if not points:
+        return 1.0
+    lower = np.min([p.min(axis=0) for p in points], axis=0)
+    upper = np.max([p.max(axis=0) for p in points], axis=0)
+    return float(0.5 * np.linalg.norm(upper - lower)) or 1.0
+
+
+def _environment(environment: Environment, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> float:
+    """Macros and arrays of the environment; its mean luminance."""
+    radiance = environment.radiance
+    for axis, name in enumerate("XYZ"):
+        macros[f"ENVIRONMENT_{name}"] = environment.to_world[:, axis]
+    if radiance.shape[:2] == (1, 1):
+        macros["ENVIRONMENT"] = 1
+        macros["ENVIRONMENT_RADIANCE"] = radiance[0, 0]
+        return _luminance(radiance[0, 0])
+    height, width = radiance.shape[:2]
+    macros.update(ENVIRONMENT=2, ENVIRONMENT_WIDTH=width, ENVIRONMENT_HEIGHT=height)
+    nodes = np.zeros((height, width + 1, 4), np.float32)
+    nodes[:, :width, :3] = radiance
+    nodes[:, width, :3] = radiance[:, 0]
+    luminance = nodes[..., :3].astype(np.float64) @ _LUMINANCE
+    cells = 0.25 * (luminance[:-1, :-1] + luminance[1:, :-1] + luminance[:-1, 1:] + luminance[1:, 1:])
+    edges = np.cos(math.pi * np.arange(height) / (height - 1))
+    solid = (edges[:-1] - edges[1:])[:, None] * (2.0 * math.pi / width)
+    mean = float((cells * solid).sum() / (4.0 * math.pi))
+    weights = ((cells + 1e-3 * mean) * solid).ravel()  # no cell that interpolation lights may be left out
+    thresholds, aliases = alias_table(weights)
+    arrays["environment_map"] = nodes
+    arrays["environment_cells"] = np.column_stack([weights / weights.sum(), thresholds]).astype(np.float32)
+    arrays["environment_aliases"] = aliases
+    return mean

@@ -1,0 +1,240 @@
+"""From a scene to what the kernel is compiled and called with: macros that leave out what the scene does not have, and arrays."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import _bvh
+from .distributions import alias_table
+from .lights import Lights, light_table
+from .scene import Camera, Material, Scene
+
+__all__ = ["Tables", "tables"]
+
+PACKET = 8
+BRUTE_FORCE_PACKETS = 8  # up to so many, testing all is faster than a hierarchy (benchmarks/opencl.md)
+
+_KIND_MACROS = {
+    "diffuse": "DIFFUSE",
+    "dielectric": "DIELECTRIC",
+    "roughdielectric": "ROUGHDIELECTRIC",
+    "conductor": "CONDUCTOR",
+    "roughconductor": "ROUGHCONDUCTOR",
+    "plastic": "PLASTIC_KIND",
+}
+_TWO_SIDED, _CUT_OUT, _NONLINEAR = 1, 2, 8
+_WRAPS = {"repeat": 0, "mirror": 1, "clamp": 2}
+
+
+@dataclass(frozen=True)
+class Tables:
+    """macros: name to value, as text; arrays: the kernel's arguments by name, in its order."""
+
+    macros: dict[str, str] = field(default_factory=dict)
+    arrays: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+
+def tables(scene: Scene, sampler: str = "sobol", hierarchy: bool | None = None) -> Tables:
+    """What the kernel needs for `scene`.
+
+    sampler: "sobol" or "independent". hierarchy: whether to trace through a hierarchy of boxes; None: where there are
+    more than `BRUTE_FORCE_PACKETS` packets of eight triangles, or of eight spheres.
+
+    Raises ValueError for a scene without geometry and light, or with more than the tables can number.
+    """
+    lights = light_table(scene)
+    macros: dict[str, Any] = {"INDEPENDENT": int(sampler == "independent")}
+    arrays: dict[str, NDArray[Any]] = {}
+    macros.update(_camera(scene.camera))
+    macros["MAX_DEPTH"] = scene.max_depth if scene.max_depth >= 0 else "0x7fffffff"
+    macros["RR_DEPTH"] = scene.rr_depth
+    macros["HIDE_EMITTERS"] = int(scene.hide_emitters)
+    _materials(scene, macros, arrays)
+    _triangles(scene, lights, hierarchy, macros, arrays)
+    _spheres(scene, lights, hierarchy, macros, arrays)
+    if not (macros["TRIANGLES"] or macros["SPHERES"] or scene.environment):
+        raise ValueError("the scene has no triangle, no sphere and no environment: there is nothing to see")
+    _textures(scene, macros, arrays)
+    macros.update(lights.macros)
+    arrays.update(lights.arrays)
+    stack = max((7 * depth + 2 for depth in (macros.pop("_depths"))), default=0)
+    macros["STACK"] = stack
+    return Tables({name: _text(value) for name, value in macros.items()}, arrays)
+
+
+def _text(value: Any) -> str:
+    """A macro's text; floats keep all their bits."""
+    if isinstance(value, tuple | list | np.ndarray):
+        return ",".join(_text(float(v)) for v in value)
+    if isinstance(value, float | np.floating):
+        if math.isinf(value):
+            return "INFINITY"
+        return f"{float(np.float32(value))!r}f".replace("e-0", "e-").replace("inff", "INFINITY")
+    return str(value)
+
+
+def _camera(camera: Camera) -> dict[str, Any]:
+    left, right, top, bottom = camera.window
+    lens = camera.aperture_radius > 0.0
+    macros = {
+        "CAMERA_LEFT": left,
+        "CAMERA_TOP": top,
+        "CAMERA_DX": (right - left) / camera.width,
+        "CAMERA_DY": (bottom - top) / camera.height,
+        "CAMERA_ORIGIN": camera.origin,
+        "CAMERA_X": camera.axes[0],
+        "CAMERA_Y": camera.axes[1],
+        "CAMERA_Z": camera.axes[2],
+        "CAMERA_NEAR": float(camera.near),
+        "CAMERA_RANGE": float(camera.far - camera.near),
+        "THIN_LENS": int(lens),
+    }
+    if lens:
+        macros.update(APERTURE_RADIUS=float(camera.aperture_radius), FOCUS_DISTANCE=float(camera.focus_distance))
+    return macros
+
+
+def _materials(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    used = sorted({shape.material for shape in (*scene.meshes, *scene.spheres)})
+    kinds = sorted({scene.materials[i].kind for i in used}, key=list(_KIND_MACROS).index)
+    for code, (kind, macro) in enumerate(_KIND_MACROS.items()):
+        macros[macro] = code
+        macros[f"HAS_{kind.upper()}"] = int(kind in kinds)
+    macros["HAS_DELTA"] = int("dielectric" in kinds or "conductor" in kinds)
+    macros["HAS_CUT_OUT"] = int(any(scene.materials[i].cut_out for i in used))
+    if len(kinds) == 1:
+        macros["ONLY_KIND"] = _KIND_MACROS[kinds[0]]
+    rows = np.zeros((max(len(scene.materials), 1), 6, 4), np.float32)
+    ints = np.full((len(rows), 4), -1, np.int32)
+    codes = list(_KIND_MACROS)
+    for i, m in enumerate(scene.materials):
+        rows[i, 0] = *m.color, m.opacity
+        rows[i, 1] = *m.specular_reflectance, m.eta
+        rows[i, 2] = *m.specular_transmittance, m.alpha
+        rows[i, 3, :3] = m.conductor_eta
+        rows[i, 4, :3] = m.conductor_k
+        rows[i, 5, :2] = _plastic(m) if m.kind == "plastic" else (0.0, 0.0)
+        ints[i, 0] = codes.index(m.kind)
+        ints[i, 1] = _TWO_SIDED * m.two_sided + _CUT_OUT * m.cut_out + _NONLINEAR * m.nonlinear
+        ints[i, 2] = -1 if m.color_texture is None else m.color_texture
+    arrays["materials"], arrays["material_ints"] = rows, ints
+
+
+def _plastic(material: Material) -> tuple[float, float]:
+    """Share of diffuse light that the interface reflects back inside, and the weight of the specular lobe in sampling.
+
+    The share is d'Eon and Irving's fit for eta below 1 seen from inside (2011, doi:10.1145/1964921.1964951), that of
+    Egan and Hilgeman (1979) otherwise, as in Mitsuba.
+    """
+    eta = 1.0 / material.eta
+    if eta < 1.0:
+        share = -1.4399 * eta**2 + 0.7099 * eta + 0.6681 + 0.0636 / eta
+    else:
+        share = float(np.polyval([-1.36881, 4.98554, -7.80989, 6.75335, -3.4793, 0.919317], 1.0 / eta))
+    specular, diffuse = (float(np.mean(c)) for c in (material.specular_reflectance, material.color))
+    return share, specular / (specular + diffuse) if specular + diffuse > 0.0 else 0.0
+
+
+def _triangles(
+    scene: Scene, lights: Lights, hierarchy: bool | None, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]
+) -> None:
+    meshes = [mesh for mesh in scene.meshes if len(mesh.triangles)]
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    count = sum(len(mesh.triangles) for mesh in meshes)
+    macros.update(TRIANGLES=count, NORMALS=0, UVS=0, TRIANGLE_NODES=0, TRIANGLE_PACKETS=0, _depths=[])
+    if count == 0:
+        return
+    if count >= 2**31 // 72 * PACKET or starts[-1] >= 2**31 // 3:
+        raise ValueError(f"the scene has {count} triangles and {starts[-1]} vertices: more than this tracer numbers")
+    vertices = np.concatenate([mesh.vertices for mesh in meshes]).astype(np.float32)
+    ints = np.empty((count, 5), np.int32)
+    ints[:, :3] = np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=False)])
+    ints[:, 3] = np.repeat([mesh.material for mesh in meshes], [len(mesh.triangles) for mesh in meshes])
+    ints[:, 4] = lights.of_triangle
+    corners = vertices[ints[:, :3]]
+    order, nodes = _arranged(corners.min(axis=1), corners.max(axis=1), hierarchy)
+    packets = np.zeros((len(order), 3, 3), np.float32)
+    packets[order >= 0] = corners[order[order >= 0]]
+    arrays["triangle_packets"] = np.ascontiguousarray(packets.reshape(-1, PACKET, 9).transpose(0, 2, 1))
+    arrays["triangle_order"] = order
+    arrays["vertices"] = vertices
+    arrays["triangles"] = ints
+    macros["TRIANGLE_PACKETS"] = len(order) // PACKET
+    if nodes is not None:
+        macros["TRIANGLE_NODES"] = len(nodes[1])
+        arrays["triangle_bounds"], arrays["triangle_children"], depth = nodes
+        macros["_depths"].append(depth)
+    if any(mesh.normals is not None for mesh in meshes):
+        macros["NORMALS"] = 1
+        arrays["normals"] = np.concatenate([_or_zero(mesh.normals, len(mesh.vertices), 3) for mesh in meshes])
+    textured = {i for i, m in enumerate(scene.materials) if m.color_texture is not None}
+    if any(mesh.uvs is not None and mesh.material in textured for mesh in meshes):
+        macros["UVS"] = 1
+        arrays["uvs"] = np.concatenate([_or_zero(mesh.uvs, len(mesh.vertices), 2) for mesh in meshes])
+
+
+def _or_zero(values: NDArray[np.float32] | None, count: int, width: int) -> NDArray[np.float32]:
+    return np.zeros((count, width), np.float32) if values is None else values.astype(np.float32)
+
+
+def _spheres(
+    scene: Scene, lights: Lights, hierarchy: bool | None, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]
+) -> None:
+    count = len(scene.spheres)
+    macros.update(SPHERES=count, SPHERE_NODES=0, SPHERE_PACKETS=0)
+    if count == 0:
+        return
+    centers = np.array([sphere.center for sphere in scene.spheres], np.float32)
+    radii = np.array([sphere.radius for sphere in scene.spheres], np.float32)
+    reach = np.nextafter(radii, np.float32(np.inf))[:, None]
+    order, nodes = _arranged(
+        np.nextafter(centers - reach, np.float32(-np.inf)), np.nextafter(centers + reach, np.float32(np.inf)), hierarchy
+    )
+    packets = np.zeros((len(order), 4), np.float32)
+    packets[order >= 0] = np.column_stack([centers, radii])[order[order >= 0]]
+    arrays["sphere_packets"] = np.ascontiguousarray(packets.reshape(-1, PACKET, 4).transpose(0, 2, 1))
+    arrays["sphere_order"] = order
+    sign = np.array([-1.0 if sphere.flipped else 1.0 for sphere in scene.spheres], np.float32)
+    arrays["balls"] = np.column_stack([centers, radii * sign]).astype(np.float32)
+    arrays["ball_ints"] = np.column_stack([[s.material for s in scene.spheres], lights.of_sphere]).astype(np.int32)
+    macros["SPHERE_PACKETS"] = len(order) // PACKET
+    if nodes is not None:
+        macros["SPHERE_NODES"] = len(nodes[1])
+        arrays["sphere_bounds"], arrays["sphere_children"], depth = nodes
+        macros["_depths"].append(depth)
+
+
+def _arranged(
+    lower: NDArray[np.float32], upper: NDArray[np.float32], hierarchy: bool | None
+) -> tuple[NDArray[np.int32], tuple[NDArray[np.float32], NDArray[np.int32], int] | None]:
+    """Primitives in the order of their packets, -1 for padding, and the hierarchy over them if one is wanted."""
+    count = len(lower)
+    if hierarchy is False or (hierarchy is None and count <= PACKET * BRUTE_FORCE_PACKETS):
+        order = np.full(-(-count // PACKET) * PACKET, -1, np.int32)
+        order[:count] = np.arange(count)
+        return order, None
+    bounds, children, order, depth = _bvh.build(np.ascontiguousarray(lower), np.ascontiguousarray(upper), PACKET)
+    return order, (bounds, children, depth)
+
+
+def _textures(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    used = any(material.color_texture is not None for material in scene.materials)
+    macros["TEXTURES"] = len(scene.textures) if used else 0
+    if not used:
+        return
+    starts = np.cumsum([0, *(texture.pixels.shape[0] * texture.pixels.shape[1] for texture in scene.textures)])
+    if starts[-1] >= 2**31:
+        raise ValueError(f"the textures have {starts[-1]} texels together: expected fewer than {2**31}")
+    arrays["texels"] = np.concatenate([texture.pixels.reshape(-1, 4) for texture in scene.textures]).astype(np.float32)
+    arrays["textures"] = np.array(
+        [
+            (start, t.pixels.shape[1], t.pixels.shape[0], _WRAPS[t.wrap] + 4 * t.nearest)
+            for t, start in zip(scene.textures, starts, strict=False)
+        ],
+        np.int32,
+    )
