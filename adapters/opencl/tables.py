@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _bvh
-from .distributions import alias_table
 from .lights import Lights, light_table
 from .scene import Camera, Material, Scene
 
-__all__ = ["Tables", "tables"]
+__all__ = ["SAMPLERS", "Tables", "tables"]
 
+SAMPLERS = ("sobol", "independent")
 PACKET = 8
 BRUTE_FORCE_PACKETS = 8  # up to so many, testing all is faster than a hierarchy (benchmarks/opencl.md)
 

@@ -89,7 +89,7 @@ float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, co
             continue;
         }
 #endif
-        const float3 local = to_local(&s, wi);
+        const float3 wi_local = to_local(&s, wi);
 #if LIGHTS
 #if HAS_DELTA
         if (bsdf.kind != DIELECTRIC && bsdf.kind != CONDUCTOR)
@@ -98,7 +98,7 @@ float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, co
             const Connection c = connect(lights, surfaces, s.p, r.s0, r.s4, r.s2);
             if (largest(c.radiance) > 0.0f) {
                 float other;
-                const float3 value = evaluate(&bsdf, local, to_local(&s, c.d), &other);
+                const float3 value = evaluate(&bsdf, wi_local, to_local(&s, c.d), &other);
                 if (largest(value) > 0.0f) {
                     const float weight = c.density > 0.0f ? power_heuristic(c.density, other) : 1.0f;
                     // The far end stays clear of the light's own surface by some ulps of the distance.
@@ -111,7 +111,7 @@ float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, co
             }
         }
 #endif
-        const Scattered next = scatter(&bsdf, local, r.s1, r.s5, r.s6);
+        const Scattered next = scatter(&bsdf, wi_local, r.s1, r.s5, r.s6);
         if (!next.valid) break;
         throughput *= next.weight;
         density = next.density;

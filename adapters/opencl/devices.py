@@ -1,0 +1,77 @@
+"""Which OpenCL device traces: found, listed and chosen."""
+
+from __future__ import annotations
+
+import os
+import re
+import warnings
+from typing import Any
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore")  # pyopencl warns of caches it cannot open; that is for those who look for it
+    import pyopencl as cl
+
+__all__ = ["VARIABLE", "choose", "devices", "label"]
+
+VARIABLE = "PMC_SAMPLER_DEVICE"
+_INSTALL = (
+    "install a driver for your GPU, or a device that runs on the CPU: pip install pocl-binary-distribution "
+    "(or, on Debian, apt install pocl-opencl-icd)"
+)
+
+
+def devices() -> list[Any]:
+    """All OpenCL devices of this machine that can compile a kernel, best first.
+
+    GPUs come before CPUs. Of several PoCLs (Debian's beside that of pip) the newer one comes first.
+    """
+    try:
+        platforms = cl.get_platforms()
+    except cl.Error:  # what the loader raises where it knows no platform
+        return []
+    found = []
+    for platform in platforms:
+        try:
+            found.extend(platform.get_devices())
+        except cl.Error:  # a platform without a device; the others may have some
+            continue
+    return sorted((device for device in found if device.available and device.compiler_available), key=_rank)
+
+
+def choose(name: str | None = None) -> Any:
+    """The device meant by `name`: its place in `devices()`, or a part of what `label` says of it.
+
+    Without a name, that in the environment variable PMC_SAMPLER_DEVICE; without that, the best.
+
+    Raises RuntimeError if there is no device at all, ValueError if none is meant.
+    """
+    found = devices()
+    if not found:
+        raise RuntimeError(f"there is no OpenCL device on this machine; {_INSTALL}")
+    source = "" if name else f" (from {VARIABLE})"
+    wanted = name or os.environ.get(VARIABLE, "")
+    if not wanted:
+        return found[0]
+    if re.fullmatch(r"\d{1,9}", wanted) and int(wanted) < len(found):
+        return found[int(wanted)]
+    for device in found:
+        if wanted.lower() in label(device).lower():
+            return device
+    there = "; ".join(f"{i}: {label(device)}" for i, device in enumerate(found))
+    raise ValueError(f"no OpenCL device is called {wanted!r}{source}; give the number or a part of the name of: {there}")
+
+
+def label(device: Any) -> str:
+    """The device's name and its platform's, with the version of the driver."""
+    return f"{device.name.strip()} ({device.platform.name.strip()}, {device.driver_version.strip()})"
+
+
+def is_gpu(device: Any) -> bool:
+    """Whether the device is a GPU, whose driver may end a kernel that takes seconds."""
+    return bool(device.type & cl.device_type.GPU)
+
+
+def _rank(device: Any) -> tuple[int, tuple[int, ...]]:
+    kind = 0 if device.type & cl.device_type.GPU else 1 if device.type & cl.device_type.ACCELERATOR else 2
+    pocl = re.search(r"PoCL (\d+)\.(\d+)", f"{device.platform.version} {device.version}", re.IGNORECASE)
+    return kind, tuple(-int(number) for number in pocl.groups()) if pocl else (-1000,)

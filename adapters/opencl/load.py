@@ -1,0 +1,38 @@
+"""From what a caller names to a `Scene`."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+from ... import scenes
+from .scene import Scene
+
+__all__ = ["scene_of"]
+
+
+def scene_of(scene: Any, size: tuple[int, int] | None = None) -> Scene:
+    """The `Scene` meant by a built-in scene's name, a Mitsuba `.xml` file, a glTF file or a `Scene`.
+
+    size: (width, height) of the film in pixels, in place of the scene's.
+
+    Raises FileNotFoundError for a missing file, OSError for one that cannot be read, ValueError for one that cannot be
+    rendered and TypeError for anything else. RuntimeError where the package that reads such files is missing.
+    """
+    if isinstance(scene, Scene):
+        if size is not None and tuple(size) != (scene.camera.width, scene.camera.height):
+            raise ValueError("a Scene keeps the size of its camera; change it there")
+        return scene
+    if not isinstance(scene, str | os.PathLike):
+        raise TypeError(
+            f"a scene is a built-in scene's name, an .xml, .gltf or .glb file, or a Scene, not {type(scene).__name__}"
+        )
+    file = Path(scene)
+    if file.suffix.lower() in (".gltf", ".glb"):
+        from . import gltf
+
+        return gltf.read(file, size)
+    from . import mitsuba_scene
+
+    return mitsuba_scene.read(file, size)

@@ -1,0 +1,165 @@
+"""The renderer behind the sampler: a path tracer in OpenCL."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyopencl as cl
+from numpy.typing import NDArray
+
+from . import devices, memory, program
+from .load import scene_of
+from .scene import Scene
+from .tables import SAMPLERS, tables
+
+__all__ = ["OpenCLRenderer"]
+
+# A kernel on a GPU that also draws the screen is ended by its driver after some seconds.
+_SECONDS = 0.25
+_FIRST = 1 << 14  # paths, while nothing is known about how long they take
+_LARGEST = 1 << 22
+_GROUP = 64
+
+
+class OpenCLRenderer:
+    """A path tracer on an OpenCL device: called with a `Batch`, it returns the radiance of each sample.
+
+    The value of a sample is a function of its position, scramble and index alone, on one device.
+
+    Parameters
+    ----------
+    scene
+        A built-in scene's name, a Mitsuba `.xml` file within the subset that `mitsuba_scene` lists, a glTF 2.0
+        file (`.gltf`, `.glb`), or a `Scene`.
+    sampler
+        "sobol" for Owen-scrambled Sobol points, "independent" for independent random numbers.
+    device
+        The number of an OpenCL device in the list that `pmc-sampler renderers` prints, or a part of its name.
+        By default what the environment variable PMC_SAMPLER_DEVICE says, else the best one.
+    size
+        (width, height) of the film in pixels, in place of the scene's.
+    hierarchy
+        Whether rays are traced through a hierarchy of boxes; by default where it is faster.
+
+    Raises
+    ------
+    FileNotFoundError, OSError
+        For a scene file that is missing or cannot be read.
+    ValueError
+        For an unknown scene, sampler or device, and for a scene that cannot be rendered, with the reason.
+    MemoryError
+        If the scene does not fit the device's memory.
+    RuntimeError
+        If there is no OpenCL device, with what to install, or its compiler fails, with its log.
+    """
+
+    takes_batch = True
+
+    def __init__(
+        self,
+        scene: Any,
+        sampler: str = "sobol",
+        *,
+        device: str | None = None,
+        size: tuple[int, int] | None = None,
+        hierarchy: bool | None = None,
+    ) -> None:
+        if sampler not in SAMPLERS:
+            raise ValueError(f"a sampler is {' or '.join(repr(kind) for kind in SAMPLERS)}, not {sampler!r}")
+        self._device = devices.choose(device)
+        self.scene: Scene = scene_of(scene, size)
+        self.sampler = sampler
+        self.width, self.height = self.scene.camera.width, self.scene.camera.height
+        compiled = tables(self.scene, sampler, hierarchy)
+        self._context = cl.Context([self._device])
+        self._queue = cl.CommandQueue(self._context)
+        self._kernel = program.build(self._context, compiled.macros)
+        self._arrays = memory.upload(self._context, compiled.arrays)
+        for place, array in enumerate(self._arrays, start=6):
+            self._kernel.set_arg(place, array)
+        self._lock = threading.Lock()
+        self._capacity = 0
+        self._buffers: tuple[Any, ...] = ()
+        self._rate = 0.0  # paths a second, of the last piece
+
+    @classmethod
+    def probe(cls) -> str:
+        """A line with the devices; raises RuntimeError if there is none."""
+        devices.choose("0")
+        return "; ".join(f"{i}: {devices.label(device)}" for i, device in enumerate(devices.devices()))
+
+    @property
+    def device(self) -> str:
+        """The device's name and its platform's."""
+        return devices.label(self._device)
+
+    @property
+    def filter(self) -> Mapping[str, Any]:
+        """The settings of a `Config` (`filter`, `filter_radius`) for the film's reconstruction filter."""
+        return self.scene.filter
+
+    def __repr__(self) -> str:
+        return f"OpenCLRenderer({self.width}x{self.height}, {self.sampler}, {self.device})"
+
+    def __call__(self, batch: Any) -> NDArray[np.float32]:
+        """The radiance of each sample of `batch`, shape (n, 3), float32, linear RGB.
+
+        Raises TypeError for what is no batch, MemoryError if the device has no memory for it.
+        """
+        try:
+            positions, scramble, index = batch.positions, batch.scramble, batch.index
+        except AttributeError:
+            raise TypeError(
+                "an OpenCLRenderer is called with a Batch (positions, scramble and index of each sample), "
+                f"not with {type(batch).__name__}"
+            ) from None
+        inputs = (
+            np.ascontiguousarray(positions, np.float32),
+            np.ascontiguousarray(scramble, np.uint32),
+            np.ascontiguousarray(index, np.uint32),
+        )
+        out = np.empty((len(positions), 3), np.float32)
+        with self._lock:
+            done = 0
+            while done < len(out):
+                count = min(self._piece(), len(out) - done)
+                self._trace(tuple(array[done : done + count] for array in inputs), out[done : done + count])
+                done += count
+        return out
+
+    def _piece(self) -> int:
+        """How many paths the next call of the kernel traces. A path's value does not depend on it."""
+        paths = int(self._rate * _SECONDS) if self._rate else _FIRST
+        return int(np.clip(paths, _GROUP, min(_LARGEST, self._device.max_mem_alloc_size // 16)))
+
+    def _trace(self, inputs: tuple[NDArray[Any], ...], out: NDArray[np.float32]) -> None:
+        count = len(out)
+        with memory.guarded(self._device, count * 28):
+            buffers = self._room(count)
+            for buffer, array in zip(buffers[:3], inputs, strict=True):
+                cl.enqueue_copy(self._queue, buffer, array, is_blocking=False)
+            self._queue.finish()
+            began = time.perf_counter()
+            for place, value in enumerate((np.uint32(0), np.uint32(count), *buffers)):
+                self._kernel.set_arg(place, value)
+            cl.enqueue_nd_range_kernel(self._queue, self._kernel, (-(-count // _GROUP) * _GROUP,), (_GROUP,))
+            self._queue.finish()
+            self._rate = count / max(time.perf_counter() - began, 1e-6)
+            cl.enqueue_copy(self._queue, out, buffers[3])
+
+    def _room(self, count: int) -> tuple[Any, ...]:
+        """Buffers for positions, scrambles, indices and radiance of `count` samples, kept for later batches."""
+        if count > self._capacity:
+            self._buffers = ()  # first freed, then asked for
+            flags = cl.mem_flags
+            self._buffers = (
+                *(cl.Buffer(self._context, flags.READ_ONLY, count * size) for size in (8, 4, 4)),
+                cl.Buffer(self._context, flags.WRITE_ONLY, count * 12),
+            )
+            self._capacity = count
+        return self._buffers
