@@ -101,11 +101,14 @@ float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, co
                 const float3 value = evaluate(&bsdf, wi_local, to_local(&s, c.d), &other);
                 if (largest(value) > 0.0f) {
                     const float weight = c.density > 0.0f ? power_heuristic(c.density, other) : 1.0f;
-                    // The far end stays clear of the light's own surface by some ulps of the distance.
                     Ray shadow;
                     shadow.o = leave(&s, c.d);
-                    shadow.d = c.d;
-                    shadow.tmax = c.distance * (1.0f - 1e-4f);
+                    // Towards the point on the light from where the ray starts, not from the surface: a light that is seen edge on
+                    // would else be met in another place, and shadow itself. The far end stays clear of it by rounding.
+                    const float3 to = isinf(c.distance) ? c.d : (s.p - shadow.o) + c.distance * c.d;
+                    const float length_ = length(to);
+                    shadow.d = to / length_;
+                    shadow.tmax = isinf(c.distance) ? INFINITY : length_ * (1.0f - 1e-4f);
                     if (!occluded(geometry, &shadow)) sum += throughput * value * c.radiance * weight;
                 }
             }
