@@ -12,25 +12,6 @@ typedef struct {
     int prim;  // a triangle's number, or TRIANGLES + a sphere's; NOTHING
 } Hit;
 
-// Tangents of a unit normal (Duff et al. 2017, JCGT 6(1)).
-void tangents(float3 n, float3* s, float3* t) {
-    const float sign = n.z >= 0.0f ? 1.0f : -1.0f;
-    const float a = -1.0f / (sign + n.z), b = n.x * n.y * a;
-    *s = (float3)(1.0f + sign * n.x * n.x * a, sign * b, -sign * n.x);
-    *t = (float3)(b, sign + n.y * n.y * a, -n.y);
-}
-
-// Lowest set bit of a mask's lanes is lane 0.
-uint lanes(int8 mask) {
-    const int8 bits = mask & (int8)(1, 2, 4, 8, 16, 32, 64, 128);
-    const int4 a = bits.lo | bits.hi;
-    const int2 b = a.lo | a.hi;
-    return (uint)(b.x | b.y);
-}
-int lowest(uint bits) { return (int)popcount((bits & -bits) - 1u); }
-
-float component(float3 v, int axis) { return axis == 0 ? v.x : axis == 1 ? v.y : v.z; }
-
 #if TRIANGLES
 // Woop, Benthin and Wald 2013, "Watertight ray/triangle intersection", JCGT 2(1): vertices are sheared so that the ray is the z
 // axis. A rounded edge function has the right sign or is zero, and zero counts as inside, so that no ray slips between
@@ -40,9 +21,9 @@ typedef struct {
     float sx, sy, sz, ox, oy, oz;
 } Shear;
 
-Shear shear(const Ray* ray) {
+INLINE Shear shear(const Ray* ray) {
     Shear s;
-    const float3 a = fabs(ray->d);
+    const float3 a = magnitude(ray->d);
     s.kz = a.x > a.y ? (a.x > a.z ? 0 : 2) : (a.y > a.z ? 1 : 2);
     s.kx = s.kz == 2 ? 0 : s.kz + 1;
     s.ky = s.kx == 2 ? 0 : s.kx + 1;
@@ -56,7 +37,7 @@ Shear shear(const Ray* ray) {
 }
 
 // Which lanes of a packet the ray hits nearer than tmax, and how far away.
-int8 triangle_packet(const Shear* s, global const float8* v, float8 tmax, float8* distance) {
+INLINE int8 triangle_packet(const Shear* s, global const float8* v, float8 tmax, float8* distance) {
     const float8 az = v[s->kz] - s->oz, bz = v[3 + s->kz] - s->oz, cz = v[6 + s->kz] - s->oz;
     const float8 ax = (v[s->kx] - s->ox) - s->sx * az, ay = (v[s->ky] - s->oy) - s->sy * az;
     const float8 bx = (v[3 + s->kx] - s->ox) - s->sx * bz, by = (v[3 + s->ky] - s->oy) - s->sy * bz;
@@ -65,12 +46,12 @@ int8 triangle_packet(const Shear* s, global const float8* v, float8 tmax, float8
     const float8 det = u + q + w;
     const float8 t = s->sz * (u * az + q * bz + w * cz) / det;
     *distance = t;
-    const float8 low = min(min(u, q), w), high = max(max(u, q), w);
+    const float8 low = smaller(smaller(u, q), w), high = larger(larger(u, q), w);
     return ((low >= 0.0f) | (high <= 0.0f)) & (det != 0.0f) & (t > 0.0f) & (t < tmax);
 }
 
 // Barycentric coordinates of the second and the third vertex.
-float2 barycentric(const Ray* ray, float3 v0, float3 v1, float3 v2) {
+INLINE float2 barycentric(const Ray* ray, float3 v0, float3 v1, float3 v2) {
     const Shear s = shear(ray);
     const float3 a = v0 - ray->o, b = v1 - ray->o, c = v2 - ray->o;
     const float az = component(a, s.kz), bz = component(b, s.kz), cz = component(c, s.kz);
@@ -86,16 +67,16 @@ float2 barycentric(const Ray* ray, float3 v0, float3 v1, float3 v2) {
 #if SPHERES
 // Haines et al. 2019, "Precision improvements for ray/sphere intersection", Ray Tracing Gems chapter 7. A packet holds the
 // centres' x, y and z and the radii; a padding lane has the radius 0.
-int8 sphere_packet(const Ray* ray, global const float8* v, float8 tmax, float8* distance) {
+INLINE int8 sphere_packet(const Ray* ray, global const float8* v, float8 tmax, float8* distance) {
     const float8 fx = ray->o.x - v[0], fy = ray->o.y - v[1], fz = ray->o.z - v[2], r = v[3];
     const float8 b = -(fx * ray->d.x + fy * ray->d.y + fz * ray->d.z);
     const float8 lx = fx + b * ray->d.x, ly = fy + b * ray->d.y, lz = fz + b * ray->d.z;
     const float8 rest = r * r - (lx * lx + ly * ly + lz * lz);
-    const float8 root = sqrt(max(rest, 0.0f));
-    const float8 q = b + select(root, -root, b < 0.0f);
+    const float8 reach = sqrt(larger(rest, 0.0f));
+    const float8 q = b + (b < 0.0f ? -reach : reach);
     const float8 c = fx * fx + fy * fy + fz * fz - r * r;
-    const float8 t0 = select(q, c / q, q != 0.0f), low = min(t0, q), high = max(t0, q);
-    const float8 t = select(high, low, low > 0.0f);
+    const float8 t0 = q != 0.0f ? c / q : q, low = smaller(t0, q), high = larger(t0, q);
+    const float8 t = low > 0.0f ? low : high;
     *distance = t;
     return (rest >= 0.0f) & (r > 0.0f) & (t > 0.0f) & (t < tmax);
 }

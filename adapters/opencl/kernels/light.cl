@@ -25,14 +25,14 @@ typedef struct {
 
 #if ENVIRONMENT
 // Into the map's frame, whose y is up, and to its nodes: column j lies at u = (j + 1/2) / width, row i at v = i / (height - 1).
-float2 environment_place(float3 d) {
-    const float3 l = (float3)(dot(d, (float3)(ENVIRONMENT_X)), dot(d, (float3)(ENVIRONMENT_Y)), dot(d, (float3)(ENVIRONMENT_Z)));
-    const float u = atan2(l.x, -l.z) * (0.5f * INV_PI), v = acos(clamp(l.y, -1.0f, 1.0f)) * INV_PI;
+INLINE float2 environment_place(float3 d) {
+    const float3 l = (float3)(inner(d, (float3)(ENVIRONMENT_X)), inner(d, (float3)(ENVIRONMENT_Y)), inner(d, (float3)(ENVIRONMENT_Z)));
+    const float u = atan2(l.x, -l.z) * (0.5f * INV_PI), v = acos(limited(l.y, -1.0f, 1.0f)) * INV_PI;
     return (float2)(u - floor(u), v);
 }
 #endif
 
-float3 environment(const Lights* lights, float3 d, float* density) {
+INLINE float3 environment(const Lights* lights, float3 d, float* density) {
 #if ENVIRONMENT == 1
     *density = 0.25f * INV_PI;
     return (float3)(ENVIRONMENT_RADIANCE);
@@ -41,10 +41,10 @@ float3 environment(const Lights* lights, float3 d, float* density) {
     float x = place.x - 0.5f / ENVIRONMENT_WIDTH;
     x = (x - floor(x)) * ENVIRONMENT_WIDTH;
     const float y = place.y * (ENVIRONMENT_HEIGHT - 1);
-    const int j = min((int)x, ENVIRONMENT_WIDTH - 1), i = min((int)y, ENVIRONMENT_HEIGHT - 2);
+    const int j = smaller((int)x, ENVIRONMENT_WIDTH - 1), i = smaller((int)y, ENVIRONMENT_HEIGHT - 2);
     global const float4* node = lights->map + i * (ENVIRONMENT_WIDTH + 1) + j;
     const float4 upper = mix(node[0], node[1], x - j), lower = mix(node[ENVIRONMENT_WIDTH + 1], node[ENVIRONMENT_WIDTH + 2], x - j);
-    const float sine = sqrt(max(1.0f - square(dot(d, (float3)(ENVIRONMENT_Y))), 1e-12f));
+    const float sine = root(larger(1.0f - square(inner(d, (float3)(ENVIRONMENT_Y))), 1e-12f));
     *density = lights->cells[i * ENVIRONMENT_WIDTH + j].x * (float)(ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1)) / (2.0f * PI * PI * sine);
     return mix(upper, lower, y - i).xyz;
 #else
@@ -55,15 +55,15 @@ float3 environment(const Lights* lights, float3 d, float* density) {
 
 #if LIGHTS
 // Density per solid angle with which `connect` finds a point of an area light, its choice included.
-float area_density(const Lights* lights, int light, float density) { return lights->rows[light * LIGHT_ROWS].w * density; }
+INLINE float area_density(const Lights* lights, int light, float density) { return lights->rows[light * LIGHT_ROWS].w * density; }
 
 // Of a sphere, from outside: uniform in the cone that it fills; 1 - cos_max without cancellation.
-float cone(float ratio2) { return ratio2 / (1.0f + sqrt(max(0.0f, 1.0f - ratio2))); }
+INLINE float cone(float ratio2) { return ratio2 / (1.0f + root(larger(0.0f, 1.0f - ratio2))); }
 
-Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, float u, float v, float choice) {
+INLINE Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, float u, float v, float choice) {
     Connection c;
     const float scaled = choice * LIGHTS;
-    int light = min((int)scaled, LIGHTS - 1);
+    int light = smaller((int)scaled, LIGHTS - 1);
     if (scaled - light >= lights->thresholds[light]) light = lights->ints[light * LIGHT_INTS + LIGHT_ALIAS];
     const float4 radiance = lights->rows[light * LIGHT_ROWS], place = lights->rows[light * LIGHT_ROWS + LIGHT_PLACE];
     const int prim = lights->ints[light * LIGHT_INTS + LIGHT_PRIM];
@@ -73,14 +73,14 @@ Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, flo
     switch (lights->ints[light * LIGHT_INTS + LIGHT_KIND]) {
 #if TRIANGLE_LIGHTS
     case LIGHT_TRIANGLE: {
-        const float root = sqrt(u), b1 = 1.0f - root, b2 = v * root;
+        const float side = root(u), b1 = 1.0f - side, b2 = v * side;
         const float3 v0 = vertex(surfaces, prim, 0), e1 = vertex(surfaces, prim, 1) - v0, e2 = vertex(surfaces, prim, 2) - v0;
-        const float3 n = cross(e1, e2), to = v0 + b1 * e1 + b2 * e2 - p;
-        const float d2 = dot(to, to), cosine = -dot(n, to);  // both times their lengths
-        c.distance = sqrt(d2);
+        const float3 n = outer(e1, e2), to = v0 + b1 * e1 + b2 * e2 - p;
+        const float d2 = inner(to, to), cosine = -inner(n, to);  // both times their lengths
+        c.distance = root(d2);
         c.d = to / c.distance;
-        const bool seen = (place.w != 0.0f ? fabs(cosine) : cosine) > 0.0f && d2 > 0.0f;
-        const float density = d2 * c.distance * 2.0f / fabs(cosine);  // |n| = 2 area cancels
+        const bool seen = (place.w != 0.0f ? magnitude(cosine) : cosine) > 0.0f && d2 > 0.0f;
+        const float density = d2 * c.distance * 2.0f / magnitude(cosine);  // |n| = 2 area cancels
         c.density = seen ? area_density(lights, light, density) : 0.0f;
         c.radiance = seen ? radiance.xyz / c.density : (float3)(0.0f);
         break;
@@ -89,27 +89,25 @@ Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, flo
 #if SPHERE_LIGHTS
     case LIGHT_SPHERE: {
         const float3 to = place.xyz - p;
-        const float d2 = dot(to, to), r2 = place.w * place.w;
+        const float d2 = inner(to, to), r2 = place.w * place.w;
         if (d2 <= r2) {  // from inside: uniform on the sphere
-            const float z = 1.0f - 2.0f * u, r = sqrt(max(0.0f, 1.0f - z * z));
-            float cosine;
-            const float sine = sincos(2.0f * PI * v, &cosine);
-            const float3 n = (float3)(r * cosine, r * sine, z), line = to + fabs(place.w) * n;
-            const float l2 = dot(line, line);
-            c.distance = sqrt(l2);
+            const float z = 1.0f - 2.0f * u, r = root(larger(0.0f, 1.0f - z * z));
+            const float2 around = circle(v) * r;
+            const float3 n = (float3)(around, z), line = to + magnitude(place.w) * n;
+            const float l2 = inner(line, line);
+            c.distance = root(l2);
             c.d = line / c.distance;
-            const float facing = place.w < 0.0f ? dot(n, c.d) : 0.0f;
+            const float facing = place.w < 0.0f ? inner(n, c.d) : 0.0f;
             c.density = facing > 0.0f ? area_density(lights, light, l2 / (4.0f * PI * r2 * facing)) : 0.0f;
         } else if (place.w > 0.0f) {
             const float rest = cone(r2 / d2), less = u * rest, sine2 = less * (2.0f - less), cosine = 1.0f - less;
             float3 s, t;
-            const float3 axis = to * rsqrt(d2);
+            const float3 axis = to / root(d2);
             tangents(axis, &s, &t);
-            float c_phi;
-            const float s_phi = sincos(2.0f * PI * v, &c_phi), sine = sqrt(sine2);
-            c.d = normalize(sine * (c_phi * s + s_phi * t) + cosine * axis);
-            const float along = dot(to, c.d);
-            c.distance = along - sqrt(max(0.0f, r2 - (d2 - along * along)));
+            const float2 around = circle(v) * root(sine2);
+            c.d = unit(around.x * s + around.y * t + cosine * axis);
+            const float along = inner(to, c.d);
+            c.distance = along - root(larger(0.0f, r2 - (d2 - along * along)));
             c.density = area_density(lights, light, 1.0f / (2.0f * PI * rest));
         }
         c.radiance = c.density > 0.0f ? radiance.xyz / c.density : (float3)(0.0f);
@@ -119,8 +117,8 @@ Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, flo
 #if POINT_LIGHTS
     case LIGHT_POINT: {
         const float3 to = place.xyz - p;
-        const float d2 = dot(to, to);
-        c.distance = sqrt(d2);
+        const float d2 = inner(to, to);
+        c.distance = root(d2);
         c.d = to / c.distance;
         c.radiance = d2 > 0.0f ? c.radiance / d2 : (float3)(0.0f);
         break;
@@ -131,10 +129,8 @@ Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, flo
 #endif
 #if ENVIRONMENT == 1
     case LIGHT_ENVIRONMENT: {
-        const float z = 1.0f - 2.0f * u, r = sqrt(max(0.0f, 1.0f - z * z));
-        float cosine;
-        const float sine = sincos(2.0f * PI * v, &cosine);
-        c.d = (float3)(r * cosine, r * sine, z);
+        const float z = 1.0f - 2.0f * u, r = root(larger(0.0f, 1.0f - z * z));
+        c.d = (float3)(circle(v) * r, z);
         c.density = radiance.w * 0.25f * INV_PI;
         c.radiance = (float3)(ENVIRONMENT_RADIANCE) / c.density;
         break;
@@ -142,7 +138,7 @@ Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, flo
 #elif ENVIRONMENT == 2
     case LIGHT_ENVIRONMENT: {
         const float scaled_u = u * (ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1));
-        int cell = min((int)scaled_u, ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1) - 1);
+        int cell = smaller((int)scaled_u, ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1) - 1);
         float rest = scaled_u - cell;
         const float threshold = lights->cells[cell].y;
         if (rest >= threshold) {
@@ -151,12 +147,10 @@ Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, flo
         } else {
             rest /= threshold;
         }
-        const float x = (cell % ENVIRONMENT_WIDTH + 0.5f + clamp(rest, 0.0f, 1.0f)) / ENVIRONMENT_WIDTH;
+        const float x = (cell % ENVIRONMENT_WIDTH + 0.5f + limited(rest, 0.0f, 1.0f)) / ENVIRONMENT_WIDTH;
         const float y = (cell / ENVIRONMENT_WIDTH + v) / (ENVIRONMENT_HEIGHT - 1);
-        float s_phi, c_phi, s_theta, c_theta;
-        s_phi = sincos(2.0f * PI * x, &c_phi);
-        s_theta = sincos(PI * y, &c_theta);
-        const float3 l = (float3)(s_phi * s_theta, c_theta, -c_phi * s_theta);
+        const float2 phi = circle(x - floor(x)), theta = circle(0.5f * y);
+        const float3 l = (float3)(phi.y * theta.y, theta.x, -phi.x * theta.y);
         c.d = l.x * (float3)(ENVIRONMENT_X) + l.y * (float3)(ENVIRONMENT_Y) + l.z * (float3)(ENVIRONMENT_Z);
         float density;
         const float3 seen = environment(lights, c.d, &density);

@@ -1,19 +1,17 @@
 // The path tracer: one work item a path. Next-event estimation and scattering are combined by the power heuristic (Veach and
 // Guibas 1995, doi:10.1145/218380.218498).
 
-float power_heuristic(float a, float b) {
+INLINE float power_heuristic(float a, float b) {
     // In ratios: squares of densities overflow at mirrors that are nearly perfect.
     const float r = b / a;
     return 1.0f / (1.0f + r * r);
 }
 
-float largest(float3 c) { return max(max(c.x, c.y), c.z); }
-
 // Pairs of dimensions: 0 is the place in the pixel, 1 the one on the lens, then four for each segment.
 #define LENS_PAIR 1u
 #define SEGMENT_PAIRS(depth) (2u + 4u * (uint)(depth))
 
-Ray camera_ray(float2 position, const Sequence* sequence) {
+INLINE Ray camera_ray(float2 position, const Sequence* sequence) {
     Ray ray;
     float3 d = (float3)(CAMERA_LEFT + position.x * CAMERA_DX, CAMERA_TOP + position.y * CAMERA_DY, 1.0f);
     float3 o = (float3)(0.0f);
@@ -24,7 +22,7 @@ Ray camera_ray(float2 position, const Sequence* sequence) {
     d = d - o / FOCUS_DISTANCE;
 #endif
     o += d * CAMERA_NEAR;
-    const float length_ = length(d);
+    const float length_ = norm(d);
     const float3 x = (float3)(CAMERA_X), y = (float3)(CAMERA_Y), z = (float3)(CAMERA_Z);
     ray.o = (float3)(CAMERA_ORIGIN) + o.x * x + o.y * y + o.z * z;
     ray.d = (d.x * x + d.y * y + d.z * z) / length_;
@@ -32,7 +30,7 @@ Ray camera_ray(float2 position, const Sequence* sequence) {
     return ray;
 }
 
-float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, const Surfaces* surfaces, const Lights* lights) {
+INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, const Surfaces* surfaces, const Lights* lights) {
     float3 sum = (float3)(0.0f), throughput = (float3)(1.0f);
     float density = 0.0f;  // of the direction that scattering chose; 0 where only scattering finds what lies there
     float eta = 1.0f;
@@ -54,21 +52,21 @@ float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, co
 #if TRIANGLE_LIGHTS || SPHERE_LIGHTS
         if (s.light >= 0 && !(depth == 0 && HIDE_EMITTERS)) {
             const float4 place = lights->rows[s.light * LIGHT_ROWS + LIGHT_PLACE];
-            const float facing = dot(wi, s.ng);
+            const float facing = inner(wi, s.ng);
             float found = 0.0f;
             bool shines = facing > 0.0f;
 #if SPHERES && SPHERE_LIGHTS
             if (hit.prim >= TRIANGLES) {
                 const float3 to = place.xyz - ray.o;
-                const float d2 = dot(to, to), r2 = place.w * place.w;
-                found = d2 <= r2 ? hit.t * hit.t / (4.0f * PI * r2 * fabs(facing)) : 1.0f / (2.0f * PI * cone(r2 / d2));
+                const float d2 = inner(to, to), r2 = place.w * place.w;
+                found = d2 <= r2 ? hit.t * hit.t / (4.0f * PI * r2 * magnitude(facing)) : 1.0f / (2.0f * PI * cone(r2 / d2));
             }
 #endif
 #if TRIANGLE_LIGHTS
             if (hit.prim < TRIANGLES) {
                 if (place.w != 0.0f) shines = facing != 0.0f;
                 const float3 v0 = vertex(surfaces, hit.prim, 0);
-                found = 2.0f * hit.t * hit.t / (fabs(facing) * length(cross(vertex(surfaces, hit.prim, 1) - v0, vertex(surfaces, hit.prim, 2) - v0)));
+                found = 2.0f * hit.t * hit.t / (magnitude(facing) * norm(outer(vertex(surfaces, hit.prim, 1) - v0, vertex(surfaces, hit.prim, 2) - v0)));
             }
 #endif
             if (shines) {
@@ -106,7 +104,7 @@ float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, co
                     // Towards the point on the light from where the ray starts, not from the surface: a light that is seen edge on
                     // would else be met in another place, and shadow itself. The far end stays clear of it by rounding.
                     const float3 to = isinf(c.distance) ? c.d : (s.p - shadow.o) + c.distance * c.d;
-                    const float length_ = length(to);
+                    const float length_ = norm(to);
                     shadow.d = to / length_;
                     shadow.tmax = isinf(c.distance) ? INFINITY : length_ * (1.0f - 1e-4f);
                     if (!occluded(geometry, &shadow)) sum += throughput * value * c.radiance * weight;
@@ -119,13 +117,13 @@ float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, co
         throughput *= next.weight;
         density = next.density;
         eta *= next.eta;
-        ray.d = normalize(to_world(&s, next.wo));
+        ray.d = unit(to_world(&s, next.wo));
         ray.o = leave(&s, ray.d);
         ray.tmax = INFINITY;
         const float most = largest(throughput);
         if (!(most > 0.0f)) break;
         if (depth >= RR_DEPTH) {
-            const float survival = min(most * eta * eta, 0.95f);
+            const float survival = smaller(most * eta * eta, 0.95f);
             if (r.s3 >= survival) break;
             throughput /= survival;
         }

@@ -1,19 +1,19 @@
 // Random numbers of a path, each a function of (scramble, index, dimension) alone. Owen-scrambled Sobol points by hash are those
 // of the sampler's core (random.hpp there has the sources), four pairs of dimensions at once: the eight of one path vertex.
 
-uint4 hash32(uint4 x) {
+INLINE uint4 hash32(uint4 x) {
     x = (x ^ (x >> 16)) * 0x7feb352du;
     x = (x ^ (x >> 15)) * 0x846ca68bu;
     return x ^ (x >> 16);
 }
 
-uint hash32_1(uint x) {
+INLINE uint hash32_1(uint x) {
     x = (x ^ (x >> 16)) * 0x7feb352du;
     x = (x ^ (x >> 15)) * 0x846ca68bu;
     return x ^ (x >> 16);
 }
 
-uint8 hash32_8(uint8 x) {
+INLINE uint8 hash32_8(uint8 x) {
     x = (x ^ (x >> 16)) * 0x7feb352du;
     x = (x ^ (x >> 15)) * 0x846ca68bu;
     return x ^ (x >> 16);
@@ -42,7 +42,7 @@ typedef struct {
 #endif
 } Sequence;
 
-Sequence sequence(uint scramble, uint index) {
+INLINE Sequence sequence(uint scramble, uint index) {
     Sequence s;
     s.scramble = scramble;
     s.index = index;
@@ -58,7 +58,7 @@ Sequence sequence(uint scramble, uint index) {
 }
 
 // Dimensions of pairs [first, first + 4): the first coordinate of each pair in the low half, the second in the high half.
-float8 draws(const Sequence* s, uint first) {
+INLINE float8 draws(const Sequence* s, uint first) {
     const uint4 pair = (uint4)(first) + (uint4)(0, 1, 2, 3);
 #if INDEPENDENT
     const uint8 counter = (uint8)(pair, pair + 0x40000000u);

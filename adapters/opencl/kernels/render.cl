@@ -79,5 +79,7 @@ kernel void render(uint first, uint count, global const float2* positions, globa
 #endif
     const uint k = first + i;
     const float3 value = radiance(positions[k], sequence(scramble[k], index[k]), &geometry, &surfaces, &lights);
-    vstore3(value, k, out);
+    out[3 * k] = value.x;
+    out[3 * k + 1] = value.y;
+    out[3 * k + 2] = value.z;
 }

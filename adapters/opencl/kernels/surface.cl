@@ -34,11 +34,11 @@ typedef struct {
 } Surface;
 
 #if TRIANGLES
-float3 vertex(const Surfaces* g, int triangle, int corner) { return vload3(g->triangles[triangle * TRIANGLE_INTS + corner], g->vertices); }
+INLINE float3 vertex(const Surfaces* g, int triangle, int corner) { return load3(g->vertices, g->triangles[triangle * TRIANGLE_INTS + corner]); }
 
 #define ROUNDING 1e-6f  // some ulps of the numbers that a position is made of
 
-Surface triangle_surface(const Surfaces* g, int triangle, const Ray* ray) {
+INLINE Surface triangle_surface(const Surfaces* g, int triangle, const Ray* ray) {
     Surface s;
     global const int* ints = g->triangles + triangle * TRIANGLE_INTS;
     const float3 v0 = vertex(g, triangle, 0), v1 = vertex(g, triangle, 1), v2 = vertex(g, triangle, 2);
@@ -46,17 +46,17 @@ Surface triangle_surface(const Surfaces* g, int triangle, const Ray* ray) {
     const float b0 = 1.0f - b.x - b.y;
     const float3 e1 = v1 - v0, e2 = v2 - v0;
     s.p = b0 * v0 + b.x * v1 + b.y * v2;
-    const float3 sizes = fabs(v0) + fabs(e1) + fabs(e2);
-    s.offset = ROUNDING * max(max(sizes.x, sizes.y), sizes.z);
+    const float3 sizes = magnitude(v0) + magnitude(e1) + magnitude(e2);
+    s.offset = ROUNDING * larger(larger(sizes.x, sizes.y), sizes.z);
     // Edges are scaled first: the square of a tiny triangle's area underflows.
-    const float3 sides = max(fabs(e1), fabs(e2));
-    const float scale = 1.0f / max(max(max(sides.x, sides.y), sides.z), 1e-37f);
-    s.ng = normalize(cross(e1 * scale, e2 * scale));
+    const float3 sides = larger(magnitude(e1), magnitude(e2));
+    const float scale = 1.0f / larger(larger(larger(sides.x, sides.y), sides.z), 1e-37f);
+    s.ng = unit(outer(e1 * scale, e2 * scale));
     s.n = s.ng;
 #if NORMALS
-    const float3 n = b0 * vload3(ints[0], g->normals) + b.x * vload3(ints[1], g->normals) + b.y * vload3(ints[2], g->normals);
-    const float length2 = dot(n, n);
-    if (length2 > 0.0f) s.n = n * rsqrt(length2);
+    const float3 n = b0 * load3(g->normals, ints[0]) + b.x * load3(g->normals, ints[1]) + b.y * load3(g->normals, ints[2]);
+    const float length2 = inner(n, n);
+    if (length2 > 0.0f) s.n = n / root(length2);
 #endif
     s.uv = b;
 #if UVS
@@ -71,13 +71,13 @@ Surface triangle_surface(const Surfaces* g, int triangle, const Ray* ray) {
 #endif
 
 #if SPHERES
-Surface sphere_surface(const Surfaces* g, int sphere, const Ray* ray, float t) {
+INLINE Surface sphere_surface(const Surfaces* g, int sphere, const Ray* ray, float t) {
     Surface s;
     const float4 ball = g->balls[sphere];
-    const float3 out = normalize(ray->o + t * ray->d - ball.xyz);
-    s.p = ball.xyz + fabs(ball.w) * out;
-    const float3 sizes = fabs(ball.xyz) + fabs(ball.w);
-    s.offset = 4e-6f * max(max(sizes.x, sizes.y), sizes.z);
+    const float3 out = unit(ray->o + t * ray->d - ball.xyz);
+    s.p = ball.xyz + magnitude(ball.w) * out;
+    const float3 sizes = magnitude(ball.xyz) + magnitude(ball.w);
+    s.offset = 4e-6f * larger(larger(sizes.x, sizes.y), sizes.z);
     s.ng = s.n = ball.w < 0.0f ? -out : out;
     s.uv = (float2)(0.0f);
     s.material = g->ball_ints[sphere * SPHERE_INTS + SPHERE_MATERIAL];
@@ -87,7 +87,7 @@ Surface sphere_surface(const Surfaces* g, int sphere, const Ray* ray, float t) {
 }
 #endif
 
-Surface surface_at(const Surfaces* g, const Hit* hit, const Ray* ray) {
+INLINE Surface surface_at(const Surfaces* g, const Hit* hit, const Ray* ray) {
 #if TRIANGLES && SPHERES
     if (hit->prim < TRIANGLES) return triangle_surface(g, hit->prim, ray);
     return sphere_surface(g, hit->prim - TRIANGLES, ray, hit->t);
@@ -98,25 +98,25 @@ Surface surface_at(const Surfaces* g, const Hit* hit, const Ray* ray) {
 #endif
 }
 
-float3 leave(const Surface* s, float3 d) { return s->p + s->ng * (dot(s->ng, d) > 0.0f ? s->offset : -s->offset); }
+INLINE float3 leave(const Surface* s, float3 d) { return s->p + s->ng * (inner(s->ng, d) > 0.0f ? s->offset : -s->offset); }
 
-float3 to_local(const Surface* s, float3 d) { return (float3)(dot(d, s->s), dot(d, s->t), dot(d, s->n)); }
-float3 to_world(const Surface* s, float3 d) { return d.x * s->s + d.y * s->t + d.z * s->n; }
+INLINE float3 to_local(const Surface* s, float3 d) { return (float3)(inner(d, s->s), inner(d, s->t), inner(d, s->n)); }
+INLINE float3 to_world(const Surface* s, float3 d) { return d.x * s->s + d.y * s->t + d.z * s->n; }
 
 #if TEXTURES
-int wrapped(int i, int size, int mode) {
-    if (mode == 2) return clamp(i, 0, size - 1);
+INLINE int wrapped(int i, int size, int mode) {
+    if (mode == 2) return larger(0, smaller(i, size - 1));
     const int period = mode == 1 ? 2 * size : size;
     int r = i % period;
     if (r < 0) r += period;
     return r < size ? r : period - 1 - r;
 }
 
-float4 texture(const Surfaces* g, int number, float2 uv) {
+INLINE float4 texture(const Surfaces* g, int number, float2 uv) {
     const int4 t = g->textures[number];
     const int mode = t.w & 3;
     // Far out of [0, 1] nothing is left of the fraction, and an integer would overflow.
-    const float x = clamp(uv.x, -1e4f, 1e4f) * t.y, y = (1.0f - clamp(uv.y, -1e4f, 1e4f)) * t.z;
+    const float x = limited(uv.x, -1e4f, 1e4f) * t.y, y = (1.0f - limited(uv.y, -1e4f, 1e4f)) * t.z;
     if (t.w & 4) return g->texels[t.x + wrapped((int)floor(y), t.z, mode) * t.y + wrapped((int)floor(x), t.y, mode)];
     const float fx = floor(x - 0.5f), fy = floor(y - 0.5f);
     const int x0 = wrapped((int)fx, t.y, mode), x1 = wrapped((int)fx + 1, t.y, mode);
@@ -127,7 +127,7 @@ float4 texture(const Surfaces* g, int number, float2 uv) {
 #endif
 
 // Alpha of a material that can be anything but opaque, and all its colour.
-Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi, float* opacity) {
+INLINE Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi, float* opacity) {
     Bsdf b;
     b.rows = g->materials + s->material * MATERIAL_ROWS;
     global const int* ints = g->material_ints + s->material * MATERIAL_INTS;
@@ -143,7 +143,7 @@ Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi, float* opacity) {
 #endif
     b.color = color.xyz;
     *opacity = (ints[FLAGS] & CUT_OUT) ? color.w : 1.0f;
-    if ((ints[FLAGS] & TWO_SIDED) && dot(wi, s->n) < 0.0f) {
+    if ((ints[FLAGS] & TWO_SIDED) && inner(wi, s->n) < 0.0f) {
         s->n = -s->n;
         s->t = -s->t;
     }

@@ -19,16 +19,21 @@ typedef struct {
 #endif
 } Geometry;
 
+typedef union {
+    float8 all;
+    float one[8];
+} Lanes;
+
 // The nearest of a packet's hits, by halves.
 #define NEAREST_LANE(mask, distance, hit, order, packet, base)                            \
     uint found = lanes(mask);                                                             \
     if (found) {                                                                          \
-        float each[8];                                                                    \
-        vstore8(distance, 0, each);                                                       \
+        Lanes each;                                                                    \
+        each.all = distance;                                                       \
         for (; found; found &= found - 1u) {                                              \
             const int lane = lowest(found);                                               \
-            if (each[lane] < hit->t) {                                                    \
-                hit->t = each[lane];                                                      \
+            if (each.one[lane] < hit->t) {                                                    \
+                hit->t = each.one[lane];                                                      \
                 hit->prim = (base) + (order)[(packet) * 8 + lane];                        \
             }                                                                             \
         }                                                                                 \
@@ -37,19 +42,19 @@ typedef struct {
 #if TRIANGLE_NODES || SPHERE_NODES
 // Children of a node that the ray meets before tmax, and where it enters each. Zero directions are made tiny, so that no
 // infinity meets a zero; the factor keeps rounding from losing a box (Ize 2013, "Robust BVH ray traversal", JCGT 2(2)).
-uint boxes(const Ray* ray, float3 inverse, global const float8* b, float tmax, float8* entry) {
+INLINE uint boxes(const Ray* ray, float3 inverse, global const float8* b, float tmax, float8* entry) {
     const float8 x0 = (b[0] - ray->o.x) * inverse.x, x1 = (b[3] - ray->o.x) * inverse.x;
     const float8 y0 = (b[1] - ray->o.y) * inverse.y, y1 = (b[4] - ray->o.y) * inverse.y;
     const float8 z0 = (b[2] - ray->o.z) * inverse.z, z1 = (b[5] - ray->o.z) * inverse.z;
-    const float8 near = max(max(min(x0, x1), min(y0, y1)), max(min(z0, z1), 0.0f));
-    const float8 far = min(min(max(x0, x1), max(y0, y1)), min(max(z0, z1), tmax));
+    const float8 near = larger(larger(smaller(x0, x1), smaller(y0, y1)), larger(smaller(z0, z1), 0.0f));
+    const float8 far = smaller(smaller(larger(x0, x1), larger(y0, y1)), smaller(larger(z0, z1), tmax));
     *entry = near;
     return lanes((near <= far * 1.0000005f) & (b[0] <= b[3]));
 }
 
-float3 inverse_direction(float3 d) {
-    const float3 tiny = copysign((float3)(1e-18f), d);
-    return 1.0f / select(d, tiny, fabs(d) < 1e-18f);
+INLINE float3 inverse_direction(float3 d) {
+    const float3 tiny = d < 0.0f ? (float3)(-1e-18f) : (float3)(1e-18f);
+    return 1.0f / (magnitude(d) < 1e-18f ? tiny : d);
 }
 
 // Walks a hierarchy; LEAF is done for every packet of the leaves, and may shrink `limit` or leave the loop by `done`.
@@ -67,17 +72,17 @@ float3 inverse_direction(float3 d) {
         if (node >= 0) {                                                                             \
             float8 entry;                                                                            \
             uint met = boxes((ray), inverse, (bounds) + node * 6, (limit), &entry);                  \
-            float each[8];                                                                           \
-            vstore8(entry, 0, each);                                                                 \
+            Lanes each;                                                                           \
+            each.all = entry;                                                                 \
             const int floor_ = top;                                                                  \
             for (; met; met &= met - 1u) {                                                           \
                 const int lane = lowest(met);                                                        \
                 int place = top++;                                                                   \
-                for (; place > floor_ && entries[place - 1] < each[lane]; --place) {                 \
+                for (; place > floor_ && entries[place - 1] < each.one[lane]; --place) {                 \
                     entries[place] = entries[place - 1];                                             \
                     stack[place] = stack[place - 1];                                                 \
                 }                                                                                    \
-                entries[place] = each[lane];                                                         \
+                entries[place] = each.one[lane];                                                         \
                 stack[place] = (children)[node * 8 + lane];                                          \
             }                                                                                        \
         } else {                                                                                     \
@@ -89,7 +94,7 @@ float3 inverse_direction(float3 d) {
     }
 #endif
 
-void nearest_triangle(const Geometry* g, const Ray* ray, Hit* hit) {
+INLINE void nearest_triangle(const Geometry* g, const Ray* ray, Hit* hit) {
 #if TRIANGLES
     const Shear s = shear(ray);
 #if TRIANGLE_NODES
@@ -105,18 +110,18 @@ void nearest_triangle(const Geometry* g, const Ray* ray, Hit* hit) {
     for (int packet = 0; packet < TRIANGLE_PACKETS; ++packet) {
         float8 t;
         const int8 mask = triangle_packet(&s, g->triangles + packet * 9, nearest, &t);
-        nearest = select(nearest, t, mask);
-        of = select(of, (int8)(packet), mask);
+        nearest = mask ? t : nearest;
+        of = mask ? (int8)(packet) : of;
     }
     uint found = lanes(of >= 0);
-    float each[8];
+    Lanes each;
+    each.all = nearest;
     int packets[8];
-    vstore8(nearest, 0, each);
     vstore8(of, 0, packets);
     for (; found; found &= found - 1u) {
         const int lane = lowest(found);
-        if (each[lane] < hit->t) {
-            hit->t = each[lane];
+        if (each.one[lane] < hit->t) {
+            hit->t = each.one[lane];
             hit->prim = g->triangle_order[packets[lane] * 8 + lane];
         }
     }
@@ -124,7 +129,7 @@ void nearest_triangle(const Geometry* g, const Ray* ray, Hit* hit) {
 #endif
 }
 
-void nearest_sphere(const Geometry* g, const Ray* ray, Hit* hit) {
+INLINE void nearest_sphere(const Geometry* g, const Ray* ray, Hit* hit) {
 #if SPHERES
 #if SPHERE_NODES
     WALK(ray, g->sphere_bounds, g->sphere_children, hit->t, {
@@ -142,7 +147,7 @@ void nearest_sphere(const Geometry* g, const Ray* ray, Hit* hit) {
 #endif
 }
 
-bool triangle_between(const Geometry* g, const Ray* ray) {
+INLINE bool triangle_between(const Geometry* g, const Ray* ray) {
 #if TRIANGLES
     const Shear s = shear(ray);
     float8 t;
@@ -161,7 +166,7 @@ bool triangle_between(const Geometry* g, const Ray* ray) {
 #endif
 }
 
-bool sphere_between(const Geometry* g, const Ray* ray) {
+INLINE bool sphere_between(const Geometry* g, const Ray* ray) {
 #if SPHERES
     float8 t;
 #if SPHERE_NODES
@@ -178,11 +183,11 @@ bool sphere_between(const Geometry* g, const Ray* ray) {
 #endif
 }
 
-Hit nearest(const Geometry* g, const Ray* ray) {
+INLINE Hit nearest(const Geometry* g, const Ray* ray) {
     Hit hit = {ray->tmax, NOTHING};
     nearest_triangle(g, ray, &hit);
     nearest_sphere(g, ray, &hit);
     return hit;
 }
 
-bool occluded(const Geometry* g, const Ray* ray) { return triangle_between(g, ray) || sphere_between(g, ray); }
+INLINE bool occluded(const Geometry* g, const Ray* ray) { return triangle_between(g, ray) || sphere_between(g, ray); }
