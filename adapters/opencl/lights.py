@@ -10,11 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .distributions import alias_table
-from .scene import Environment, PointLight, Scene
+from .scene import Environment, Mesh, PointLight, Scene
 
 __all__ = ["Lights", "light_table"]
 
 _TRIANGLE, _SPHERE, _POINT, _DIRECTIONAL, _ENVIRONMENT = range(5)
+_GRID = 6  # points along each side of a triangle, at which its emission texture is looked up
 _LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 
 
@@ -34,7 +35,9 @@ def light_table(scene: Scene) -> Lights:
 
     Raises ValueError for light from infinity where there is nothing that it could fall on.
     """
-    rows, ints, powers = [], [], []  # (k, 2, 4), (k, 3), (k,)
+    rows: list[tuple[tuple[float, ...], tuple[float, ...]]] = []  # (k, 2, 4)
+    ints: list[tuple[int, int, int, int]] = []
+    powers: list[float] = []
     counts = [len(mesh.triangles) for mesh in scene.meshes]
     of_triangle = np.full(sum(counts), -1, np.int32)
     start = number = 0
@@ -45,12 +48,14 @@ def light_table(scene: Scene) -> Lights:
                 np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
             )
             kept = np.flatnonzero(areas > 0.0)  # a light without area sends out nothing
+            texture = -1 if mesh.radiance_texture is None else mesh.radiance_texture
             of_triangle[start + kept] = number + np.arange(len(kept))
             number += len(kept)
             for i in kept:
                 rows.append(((*mesh.radiance, 0.0), (0.0, 0.0, 0.0, float(mesh.emits_both_sides))))
-                ints.append((_TRIANGLE, start + int(i), 0))
-            powers.extend(math.pi * (1 + mesh.emits_both_sides) * areas[kept] * _luminance(mesh.radiance))
+                ints.append((_TRIANGLE, start + int(i), 0, texture))
+            power = math.pi * (1 + mesh.emits_both_sides) * areas[kept] * _luminance(mesh.radiance)
+            powers.extend(power * _brightness(scene, mesh, kept))
         start += count
     of_sphere = np.full(len(scene.spheres), -1, np.int32)
     for i, sphere in enumerate(scene.spheres):
@@ -59,18 +64,18 @@ def light_table(scene: Scene) -> Lights:
             rows.append(
                 ((*sphere.radiance, 0.0), (*sphere.center, -sphere.radius if sphere.flipped else sphere.radius))
             )
-            ints.append((_SPHERE, i, 0))
+            ints.append((_SPHERE, i, 0, -1))
             powers.append(4.0 * math.pi**2 * sphere.radius**2 * _luminance(sphere.radiance))
     extent = _radius(scene)
     for light in scene.lights:
         if isinstance(light, PointLight):
             rows.append(((*light.intensity, 0.0), (*light.position, 0.0)))
-            ints.append((_POINT, 0, 0))
+            ints.append((_POINT, 0, 0, -1))
             powers.append(4.0 * math.pi * _luminance(light.intensity))
         else:
             direction = -np.array(light.direction) / np.linalg.norm(light.direction)
             rows.append(((*light.irradiance, 0.0), (*direction, 0.0)))
-            ints.append((_DIRECTIONAL, 0, 0))
+            ints.append((_DIRECTIONAL, 0, 0, -1))
             powers.append(math.pi * extent**2 * _luminance(light.irradiance))
     kinds = [row[0] for row in ints]
     macros: dict[str, Any] = {
@@ -79,12 +84,13 @@ def light_table(scene: Scene) -> Lights:
         "POINT_LIGHTS": kinds.count(_POINT),
         "DIRECTIONAL_LIGHTS": kinds.count(_DIRECTIONAL),
         "ENVIRONMENT": 0,
+        "EMISSION_TEXTURES": int(any(row[3] >= 0 for row in ints)),
     }
     environment: dict[str, NDArray[Any]] = {}
     if scene.environment is not None and float(scene.environment.radiance.max()) > 0.0:
         mean = _environment(scene.environment, macros, environment)
         rows.append(((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)))  # the last row, which the kernel counts on
-        ints.append((_ENVIRONMENT, 0, 0))
+        ints.append((_ENVIRONMENT, 0, 0, -1))
         powers.append(4.0 * math.pi**2 * extent**2 * mean)
     macros["LIGHTS"] = len(rows)
     arrays: dict[str, NDArray[Any]] = {}
@@ -100,6 +106,24 @@ def light_table(scene: Scene) -> Lights:
         numbers[:, 2] = aliases
         arrays = {"light_rows": table, "light_ints": numbers, "light_thresholds": thresholds}
     return Lights(of_triangle, of_sphere, macros, {**arrays, **environment})
+
+
+def _brightness(scene: Scene, mesh: Mesh, triangles: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Mean luminance of the emission texture on each of the triangles, from some points of them; 1 without one."""
+    if mesh.radiance_texture is None or mesh.uvs is None:
+        return np.ones(len(triangles))
+    pixels = scene.textures[mesh.radiance_texture].pixels
+    height, width = pixels.shape[:2]
+    total = np.zeros(len(triangles))
+    corners = mesh.uvs.astype(np.float64)[mesh.triangles[triangles]]
+    steps = [(i, j) for i in range(_GRID) for j in range(_GRID - i)]
+    for i, j in steps:
+        b1, b2 = (i + 1 / 3) / _GRID, (j + 1 / 3) / _GRID
+        uv = (1 - b1 - b2) * corners[:, 0] + b1 * corners[:, 1] + b2 * corners[:, 2]
+        x, y = (uv * (width, height)).astype(np.int64).T % np.array([[width], [height]])
+        total += pixels[height - 1 - y, x, :3].astype(np.float64) @ _LUMINANCE
+    # Points between the samples may be brighter: none is left out.
+    return total / len(steps) + 0.05 * float((pixels[..., :3] @ _LUMINANCE).mean())
 
 
 def _luminance(rgb: Any) -> float:

@@ -15,7 +15,7 @@ __all__ = ["build", "source"]
 
 _FOLDER = Path(__file__).resolve().parent / "kernels"
 # Each uses those before it.
-_FILES = ("vector", "random", "geometry", "trace", "bsdf", "surface", "light", "path", "render")
+_FILES = ("vector", "random", "geometry", "trace", "microfacet", "metallic", "bsdf", "surface", "material", "light", "path", "render")
 # Divisions and square roots may be off by some units in the last place; nothing counts on more than that.
 OPTIONS = ("-cl-std=CL1.2",)
 

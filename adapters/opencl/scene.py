@@ -185,6 +185,8 @@ class Scene:
 
     max_depth: longest path in segments (1: emitters seen directly alone), -1 for no limit; rr_depth: segments from
     which Russian roulette may end a path; hide_emitters: whether emitters that the camera sees directly are left out.
+    alpha_shadows: whether light comes through surfaces that are cut out to what lies behind them; shadow rays end there
+    otherwise, as they do in Mitsuba.
     filter: settings of a `Config` for the film's pixel filter.
 
     Raises ValueError with a sentence that names what is wrong, where and what was expected.
@@ -200,6 +202,7 @@ class Scene:
     max_depth: int = -1
     rr_depth: int = 5
     hide_emitters: bool = False
+    alpha_shadows: bool = False
     filter: dict[str, Any] = field(default_factory=lambda: {"filter": "box", "filter_radius": 0.5})
 
     def __post_init__(self) -> None:

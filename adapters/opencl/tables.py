@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from . import _bvh
 from .lights import Lights, light_table
-from .scene import Camera, Material, Scene
+from .scene import Camera, Material, Mesh, Scene
 
 __all__ = ["SAMPLERS", "Tables", "tables"]
 
@@ -26,8 +26,10 @@ _KIND_MACROS = {
     "conductor": "CONDUCTOR",
     "roughconductor": "ROUGHCONDUCTOR",
     "plastic": "PLASTIC_KIND",
+    "metallic-roughness": "METALLIC_ROUGHNESS",
 }
-_TWO_SIDED, _CUT_OUT, _NONLINEAR = 1, 2, 8
+_TWO_SIDED, _CUT_OUT, _VERTEX_COLORS, _NONLINEAR, _THIN = 1, 2, 4, 8, 16
+_LAYERS = 64  # of cut-out surfaces that a shadow ray passes
 _WRAPS = {"repeat": 0, "mirror": 1, "clamp": 2}
 
 
@@ -104,13 +106,14 @@ def _materials(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[A
     kinds = sorted({scene.materials[i].kind for i in used}, key=list(_KIND_MACROS).index)
     for code, (kind, macro) in enumerate(_KIND_MACROS.items()):
         macros[macro] = code
-        macros[f"HAS_{kind.upper()}"] = int(kind in kinds)
+        macros[f"HAS_{kind.upper().replace('-', '_')}"] = int(kind in kinds)
     macros["HAS_DELTA"] = int("dielectric" in kinds or "conductor" in kinds)
     macros["HAS_CUT_OUT"] = int(any(scene.materials[i].cut_out for i in used))
     if len(kinds) == 1:
         macros["ONLY_KIND"] = _KIND_MACROS[kinds[0]]
-    rows = np.zeros((max(len(scene.materials), 1), 6, 4), np.float32)
-    ints = np.full((len(rows), 4), -1, np.int32)
+    macros.update(ALPHA_SHADOWS=int(bool(macros["HAS_CUT_OUT"]) and scene.alpha_shadows), MAX_LAYERS=_LAYERS)
+    rows = np.zeros((max(len(scene.materials), 1), 7, 4), np.float32)
+    ints = np.full((len(rows), 5), -1, np.int32)
     codes = list(_KIND_MACROS)
     for i, m in enumerate(scene.materials):
         rows[i, 0] = *m.color, m.opacity
@@ -119,9 +122,22 @@ def _materials(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[A
         rows[i, 3, :3] = m.conductor_eta
         rows[i, 4, :3] = m.conductor_k
         rows[i, 5, :2] = _plastic(m) if m.kind == "plastic" else (0.0, 0.0)
+        rows[i, 5, 2] = -1.0 if m.alpha_cutoff is None else m.alpha_cutoff
+        rows[i, 6] = m.metallic, m.roughness, m.transmission, m.normal_scale
         ints[i, 0] = codes.index(m.kind)
-        ints[i, 1] = _TWO_SIDED * m.two_sided + _CUT_OUT * m.cut_out + _NONLINEAR * m.nonlinear
-        ints[i, 2] = -1 if m.color_texture is None else m.color_texture
+        ints[i, 1] = sum(
+            flag
+            for flag, is_set in (
+                (_TWO_SIDED, m.two_sided),
+                (_CUT_OUT, m.cut_out),
+                (_VERTEX_COLORS, m.vertex_colors),
+                (_NONLINEAR, m.nonlinear),
+                (_THIN, m.thin),
+            )
+            if is_set
+        )
+        textures = (m.color_texture, m.normal_texture, m.metallic_roughness_texture)
+        ints[i, 2:] = [-1 if texture is None else texture for texture in textures]
     arrays["materials"], arrays["material_ints"] = rows, ints
 
 
@@ -146,7 +162,7 @@ def _triangles(
     meshes = [mesh for mesh in scene.meshes if len(mesh.triangles)]
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     count = sum(len(mesh.triangles) for mesh in meshes)
-    macros.update(TRIANGLES=count, NORMALS=0, UVS=0, TRIANGLE_NODES=0, TRIANGLE_PACKETS=0, _depths=[])
+    macros.update(TRIANGLES=count, NORMALS=0, UVS=0, COLORS=0, TRIANGLE_NODES=0, TRIANGLE_PACKETS=0, _depths=[])
     if count == 0:
         return
     if count >= 2**31 // 72 * PACKET or starts[-1] >= 2**31 // 3:
@@ -172,14 +188,28 @@ def _triangles(
     if any(mesh.normals is not None for mesh in meshes):
         macros["NORMALS"] = 1
         arrays["normals"] = np.concatenate([_or_zero(mesh.normals, len(mesh.vertices), 3) for mesh in meshes])
-    textured = {i for i, m in enumerate(scene.materials) if m.color_texture is not None}
-    if any(mesh.uvs is not None and mesh.material in textured for mesh in meshes):
+    if any(mesh.uvs is not None and _textures_of(scene, mesh) for mesh in meshes):
         macros["UVS"] = 1
         arrays["uvs"] = np.concatenate([_or_zero(mesh.uvs, len(mesh.vertices), 2) for mesh in meshes])
+    if any(mesh.colors is not None and scene.materials[mesh.material].vertex_colors for mesh in meshes):
+        macros["COLORS"] = 1
+        arrays["colors"] = np.concatenate(
+            [
+                np.ones((len(mesh.vertices), 4), np.float32) if mesh.colors is None else mesh.colors.astype(np.float32)
+                for mesh in meshes
+            ]
+        )
 
 
 def _or_zero(values: NDArray[np.float32] | None, count: int, width: int) -> NDArray[np.float32]:
     return np.zeros((count, width), np.float32) if values is None else values.astype(np.float32)
+
+
+def _textures_of(scene: Scene, mesh: Mesh) -> list[int]:
+    """The textures that are looked up on a mesh."""
+    m = scene.materials[mesh.material]
+    found = (m.color_texture, m.normal_texture, m.metallic_roughness_texture, mesh.radiance_texture)
+    return [texture for texture in found if texture is not None]
 
 
 def _spheres(
@@ -223,8 +253,9 @@ def _arranged(
 
 
 def _textures(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    used = any(material.color_texture is not None for material in scene.materials)
-    macros["TEXTURES"] = len(scene.textures) if used else 0
+    used = {texture for mesh in scene.meshes for texture in _textures_of(scene, mesh)}
+    macros["TEXTURES"] = len(used)
+    macros["NORMAL_MAPS"] = int(any(scene.materials[mesh.material].normal_texture is not None for mesh in scene.meshes))
     if not used:
         return
     starts = np.cumsum([0, *(texture.pixels.shape[0] * texture.pixels.shape[1] for texture in scene.textures)])

@@ -2,7 +2,7 @@
 // triangle or a sphere of its own. One is chosen in proportion to its power, by Walker's alias method.
 
 enum { LIGHT_RADIANCE, LIGHT_PLACE, LIGHT_ROWS };  // rgb and probability; position or direction and radius
-enum { LIGHT_KIND, LIGHT_PRIM, LIGHT_ALIAS, LIGHT_INTS };
+enum { LIGHT_KIND, LIGHT_PRIM, LIGHT_ALIAS, LIGHT_TEXTURE, LIGHT_INTS };
 enum { LIGHT_TRIANGLE, LIGHT_SPHERE, LIGHT_POINT, LIGHT_DIRECTIONAL, LIGHT_ENVIRONMENT };
 
 typedef struct {
@@ -54,6 +54,16 @@ INLINE float3 environment(const Lights* lights, float3 d, float* density) {
 }
 
 #if LIGHTS
+// What an area light sends out at a point of it.
+INLINE float3 emitted(const Lights* lights, const Surfaces* surfaces, int light, float2 uv) {
+    const float3 radiance = lights->rows[light * LIGHT_ROWS].xyz;
+#if EMISSION_TEXTURES
+    const int number = lights->ints[light * LIGHT_INTS + LIGHT_TEXTURE];
+    if (number >= 0) return radiance * texture(surfaces, number, uv).xyz;
+#endif
+    return radiance;
+}
+
 // Density per solid angle with which `connect` finds a point of an area light, its choice included.
 INLINE float area_density(const Lights* lights, int light, float density) { return lights->rows[light * LIGHT_ROWS].w * density; }
 
@@ -82,7 +92,8 @@ INLINE Connection connect(const Lights* lights, const Surfaces* surfaces, float3
         const bool seen = (place.w != 0.0f ? magnitude(cosine) : cosine) > 0.0f && d2 > 0.0f;
         const float density = d2 * c.distance * 2.0f / magnitude(cosine);  // |n| = 2 area cancels
         c.density = seen ? area_density(lights, light, density) : 0.0f;
-        c.radiance = seen ? radiance.xyz / c.density : (float3)(0.0f);
+        const float3 shone = emitted(lights, surfaces, light, triangle_uv(surfaces, prim, 1.0f - b1 - b2, b1, b2));
+        c.radiance = seen ? shone / c.density : (float3)(0.0f);
         break;
     }
 #endif

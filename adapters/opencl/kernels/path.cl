@@ -30,11 +30,35 @@ INLINE Ray camera_ray(float2 position, const Sequence* sequence) {
     return ray;
 }
 
+// The share of light that comes along a shadow ray. Surfaces that are cut out let theirs through where the scene says so; shadow
+// rays end at them elsewhere, as they do in Mitsuba.
+INLINE float visibility(const Geometry* geometry, const Surfaces* surfaces, Ray ray) {
+#if ALPHA_SHADOWS
+    float share = 1.0f;
+    for (int layer = 0; layer < MAX_LAYERS; ++layer) {
+        const Hit hit = nearest(geometry, &ray);
+        if (hit.prim == NOTHING) return share;
+        Surface s = surface_at(surfaces, &hit, &ray);
+        float opacity;
+        bsdf_at(surfaces, &s, -ray.d, &opacity);
+        share *= 1.0f - opacity;
+        if (share <= 0.0f) return 0.0f;
+        const float3 from = leave(&s, ray.d);
+        ray.tmax -= inner(from - ray.o, ray.d);
+        ray.o = from;
+    }
+    return 0.0f;
+#else
+    return occluded(geometry, &ray) ? 0.0f : 1.0f;
+#endif
+}
+
 INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, const Surfaces* surfaces, const Lights* lights) {
     float3 sum = (float3)(0.0f), throughput = (float3)(1.0f);
     float density = 0.0f;  // of the direction that scattering chose; 0 where only scattering finds what lies there
     float eta = 1.0f;
     Ray ray = camera_ray(position, &sequence);
+    float3 start = ray.o;  // where the path scattered last, which is not where it passed a cut-out
     for (int depth = 0; depth < MAX_DEPTH; ++depth) {
         const Hit hit = nearest(geometry, &ray);
         if (hit.prim == NOTHING) {
@@ -57,21 +81,21 @@ INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geome
             bool shines = facing > 0.0f;
 #if SPHERES && SPHERE_LIGHTS
             if (hit.prim >= TRIANGLES) {
-                const float3 to = place.xyz - ray.o;
+                const float3 to = place.xyz - start, way = s.p - start;
                 const float d2 = inner(to, to), r2 = place.w * place.w;
-                found = d2 <= r2 ? hit.t * hit.t / (4.0f * PI * r2 * magnitude(facing)) : 1.0f / (2.0f * PI * cone(r2 / d2));
+                found = d2 <= r2 ? inner(way, way) / (4.0f * PI * r2 * magnitude(facing)) : 1.0f / (2.0f * PI * cone(r2 / d2));
             }
 #endif
 #if TRIANGLE_LIGHTS
             if (hit.prim < TRIANGLES) {
                 if (place.w != 0.0f) shines = facing != 0.0f;
-                const float3 v0 = vertex(surfaces, hit.prim, 0);
-                found = 2.0f * hit.t * hit.t / (magnitude(facing) * norm(outer(vertex(surfaces, hit.prim, 1) - v0, vertex(surfaces, hit.prim, 2) - v0)));
+                const float3 v0 = vertex(surfaces, hit.prim, 0), way = s.p - start;
+                found = 2.0f * inner(way, way) / (magnitude(facing) * norm(outer(vertex(surfaces, hit.prim, 1) - v0, vertex(surfaces, hit.prim, 2) - v0)));
             }
 #endif
             if (shines) {
                 const float weight = density > 0.0f ? power_heuristic(density, area_density(lights, s.light, found)) : 1.0f;
-                sum += throughput * lights->rows[s.light * LIGHT_ROWS].xyz * weight;
+                sum += throughput * emitted(lights, surfaces, s.light, s.uv) * weight;
             }
         }
 #endif
@@ -83,7 +107,9 @@ INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geome
         if (r.s7 >= opacity) {  // straight through, as by an interface that is not there
             ray.o = leave(&s, ray.d);
             ray.tmax = INFINITY;
+#if !ALPHA_SHADOWS
             density = 0.0f;
+#endif
             continue;
         }
 #endif
@@ -97,7 +123,7 @@ INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geome
             if (largest(c.radiance) > 0.0f) {
                 float other;
                 const float3 value = evaluate(&bsdf, wi_local, to_local(&s, c.d), &other);
-                if (largest(value) > 0.0f) {
+                if (largest(value) > 0.0f && same_side(&s, c.d, inner(c.d, s.n))) {
                     const float weight = c.density > 0.0f ? power_heuristic(c.density, other) : 1.0f;
                     Ray shadow;
                     shadow.o = leave(&s, c.d);
@@ -107,7 +133,8 @@ INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geome
                     const float length_ = norm(to);
                     shadow.d = to / length_;
                     shadow.tmax = isinf(c.distance) ? INFINITY : length_ * (1.0f - 1e-4f);
-                    if (!occluded(geometry, &shadow)) sum += throughput * value * c.radiance * weight;
+                    const float seen = visibility(geometry, surfaces, shadow);
+                    if (seen > 0.0f) sum += throughput * value * c.radiance * (weight * seen);
                 }
             }
         }
@@ -118,7 +145,8 @@ INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geome
         density = next.density;
         eta *= next.eta;
         ray.d = unit(to_world(&s, next.wo));
-        ray.o = leave(&s, ray.d);
+        if (!same_side(&s, ray.d, next.wo.z)) break;
+        ray.o = start = leave(&s, ray.d);
         ray.tmax = INFINITY;
         const float most = largest(throughput);
         if (!(most > 0.0f)) break;

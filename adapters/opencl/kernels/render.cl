@@ -14,6 +14,9 @@ kernel void render(uint first, uint count, global const float2* positions, globa
 #if UVS
                    , global const float* uvs
 #endif
+#if COLORS
+                   , global const float4* colors
+#endif
 #if SPHERES
                    , global const float8* sphere_packets, global const int* sphere_order, global const float4* balls, global const int* ball_ints
 #endif
@@ -52,6 +55,9 @@ kernel void render(uint first, uint count, global const float2* positions, globa
 #endif
 #if UVS
     surfaces.uvs = uvs;
+#endif
+#if COLORS
+    surfaces.colors = colors;
 #endif
 #if SPHERES
     geometry.spheres = sphere_packets;

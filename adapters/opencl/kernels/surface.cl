@@ -13,6 +13,9 @@ typedef struct {
 #if UVS
     global const float* uvs;
 #endif
+#if COLORS
+    global const float4* colors;
+#endif
 #endif
 #if SPHERES
     global const float4* balls;  // by number: centre, and radius (negative: the front is inside)
@@ -29,6 +32,14 @@ typedef struct {
 typedef struct {
     float3 p, ng, n, s, t;  // ng: geometric normal of the front; n, s, t: shading frame
     float2 uv;
+#if COLORS
+    float4 color;
+#endif
+#if NORMAL_MAPS
+    float3 smooth;  // the normal without the map
+    float3 u_axis;  // in which u grows
+    float handed;   // 1 where v grows to the left of it, seen from the front; -1 where the texture is mirrored
+#endif
     float offset;           // distance along ng that leaves the surface whatever was rounded
     int material, light;
 } Surface;
@@ -62,11 +73,31 @@ INLINE Surface triangle_surface(const Surfaces* g, int triangle, const Ray* ray)
 #if UVS
     const float2 u0 = vload2(ints[0], g->uvs), u1 = vload2(ints[1], g->uvs), u2 = vload2(ints[2], g->uvs);
     s.uv = b0 * u0 + b.x * u1 + b.y * u2;
+#if NORMAL_MAPS
+    const float2 f1 = u1 - u0, f2 = u2 - u0;
+    const float turn = f1.x * f2.y - f1.y * f2.x;
+    s.handed = turn < 0.0f ? -1.0f : 1.0f;
+    s.u_axis = turn == 0.0f ? e1 : (f2.y * e1 - f1.y * e2) * s.handed;
+#endif
+#endif
+#if COLORS
+    s.color = b0 * g->colors[ints[0]] + b.x * g->colors[ints[1]] + b.y * g->colors[ints[2]];
 #endif
     s.material = ints[TRIANGLE_MATERIAL];
     s.light = ints[TRIANGLE_LIGHT];
     tangents(s.n, &s.s, &s.t);
     return s;
+}
+#endif
+
+#if TRIANGLES
+INLINE float2 triangle_uv(const Surfaces* g, int triangle, float b0, float b1, float b2) {
+#if UVS
+    global const int* ints = g->triangles + triangle * TRIANGLE_INTS;
+    return b0 * vload2(ints[0], g->uvs) + b1 * vload2(ints[1], g->uvs) + b2 * vload2(ints[2], g->uvs);
+#else
+    return (float2)(b1, b2);
+#endif
 }
 #endif
 
@@ -80,6 +111,14 @@ INLINE Surface sphere_surface(const Surfaces* g, int sphere, const Ray* ray, flo
     s.offset = 4e-6f * larger(larger(sizes.x, sizes.y), sizes.z);
     s.ng = s.n = ball.w < 0.0f ? -out : out;
     s.uv = (float2)(0.0f);
+#if COLORS
+    s.color = (float4)(1.0f);
+#endif
+#if NORMAL_MAPS
+    s.smooth = s.n;
+    s.u_axis = (float3)(0.0f);
+    s.handed = 1.0f;
+#endif
     s.material = g->ball_ints[sphere * SPHERE_INTS + SPHERE_MATERIAL];
     s.light = g->ball_ints[sphere * SPHERE_INTS + SPHERE_LIGHT];
     tangents(s.n, &s.s, &s.t);
@@ -102,50 +141,3 @@ INLINE float3 leave(const Surface* s, float3 d) { return s->p + s->ng * (inner(s
 
 INLINE float3 to_local(const Surface* s, float3 d) { return (float3)(inner(d, s->s), inner(d, s->t), inner(d, s->n)); }
 INLINE float3 to_world(const Surface* s, float3 d) { return d.x * s->s + d.y * s->t + d.z * s->n; }
-
-#if TEXTURES
-INLINE int wrapped(int i, int size, int mode) {
-    if (mode == 2) return larger(0, smaller(i, size - 1));
-    const int period = mode == 1 ? 2 * size : size;
-    int r = i % period;
-    if (r < 0) r += period;
-    return r < size ? r : period - 1 - r;
-}
-
-INLINE float4 texture(const Surfaces* g, int number, float2 uv) {
-    const int4 t = g->textures[number];
-    const int mode = t.w & 3;
-    // Far out of [0, 1] nothing is left of the fraction, and an integer would overflow.
-    const float x = limited(uv.x, -1e4f, 1e4f) * t.y, y = (1.0f - limited(uv.y, -1e4f, 1e4f)) * t.z;
-    if (t.w & 4) return g->texels[t.x + wrapped((int)floor(y), t.z, mode) * t.y + wrapped((int)floor(x), t.y, mode)];
-    const float fx = floor(x - 0.5f), fy = floor(y - 0.5f);
-    const int x0 = wrapped((int)fx, t.y, mode), x1 = wrapped((int)fx + 1, t.y, mode);
-    global const float4 *upper = g->texels + t.x + wrapped((int)fy, t.z, mode) * t.y, *lower = g->texels + t.x + wrapped((int)fy + 1, t.z, mode) * t.y;
-    const float a = x - 0.5f - fx, b = y - 0.5f - fy;
-    return mix(mix(upper[x0], upper[x1], a), mix(lower[x0], lower[x1], a), b);
-}
-#endif
-
-// Alpha of a material that can be anything but opaque, and all its colour.
-INLINE Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi, float* opacity) {
-    Bsdf b;
-    b.rows = g->materials + s->material * MATERIAL_ROWS;
-    global const int* ints = g->material_ints + s->material * MATERIAL_INTS;
-#ifdef ONLY_KIND
-    b.kind = ONLY_KIND;
-#else
-    b.kind = ints[KIND];
-#endif
-    b.nonlinear = (ints[FLAGS] & NONLINEAR) != 0;
-    float4 color = b.rows[COLOR_OPACITY];
-#if TEXTURES
-    if (ints[COLOR_TEXTURE] >= 0) color *= texture(g, ints[COLOR_TEXTURE], s->uv);
-#endif
-    b.color = color.xyz;
-    *opacity = (ints[FLAGS] & CUT_OUT) ? color.w : 1.0f;
-    if ((ints[FLAGS] & TWO_SIDED) && inner(wi, s->n) < 0.0f) {
-        s->n = -s->n;
-        s->t = -s->t;
-    }
-    return b;
-}
