@@ -3,7 +3,8 @@
 A renderer is a class in the entry-point group `pmc_sampler.renderers`, made from a scene and options. Its
 instances have `width` and `height`, and are called with a `Batch` for the radiance of its samples, shape (n,
 3 + aovs), float32, linear RGB. A class method `probe()`, if it has one, returns a line about what it runs on,
-or raises RuntimeError with what is missing. Those of the project are found without an entry point, too.
+or raises RuntimeError with what is missing; a class method `version()`, if it has one, names what its images
+depend on. Those of the project are found without an entry point, too.
 """
 
 from __future__ import annotations
@@ -16,10 +17,13 @@ from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
 
-__all__ = ["Availability", "available", "load", "names"]
+__all__ = ["Availability", "available", "load", "names", "version"]
 
 GROUP = "pmc_sampler.renderers"
-_OWN = {"mitsuba": "mitsuba:MitsubaRenderer"}  # module within this package, class
+_OWN = {  # module within this package, class
+    "mitsuba": "mitsuba:MitsubaRenderer",
+    "opencl": "opencl:OpenCLRenderer",
+}
 
 
 @dataclass(frozen=True)
@@ -64,6 +68,22 @@ def available() -> list[Availability]:
         except Exception as error:  # a listing has to outlive whatever a third party's renderer does
             result.append(Availability(name, None, " ".join(str(error).split()) or type(error).__name__))
     return result
+
+
+def version(renderer: str) -> str:
+    """What the images of a renderer depend on besides the scene: what its class says, else the version of the Python
+    package of that name, else nothing.
+
+    Raises RuntimeError for a renderer that cannot run here.
+    """
+    if renderer in names():
+        kind = _found(renderer)
+        if hasattr(kind, "version"):
+            return str(kind.version())
+    try:
+        return metadata.version(renderer)
+    except metadata.PackageNotFoundError:
+        return ""
 
 
 def _found(name: str) -> Callable[..., Any]:

@@ -7,7 +7,6 @@ subtracted.
 """
 
 import hashlib
-import importlib.metadata
 import json
 import os
 import re
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmc_sampler import Budget, Config, Sampler, luminance, scenes
+from pmc_sampler import Budget, Config, Sampler, adapters, luminance, scenes
 from pmc_sampler.sampler import sampler_for
 
 SEED = 0x5EED_0000
@@ -72,7 +71,7 @@ def identify(scene: str, renderer: str) -> dict[str, str]:
     """What a scene's image depends on besides size and samples, for :func:`key`.
 
     ``scene`` is a built-in scene's name or a file; its contents count, and those of the files that it names.
-    ``renderer`` is a renderer's name; the version of the Python package of that name counts, if there is one.
+    ``renderer`` is a renderer's name; its version counts, as `pmc_sampler.adapters.version` has it.
     """
     file = scenes.path(scene) if scene in scenes.names() else Path(scene)
     contents = file.read_bytes()
@@ -81,15 +80,11 @@ def identify(scene: str, renderer: str) -> dict[str, str]:
         part = file.parent / os.fsdecode(name)
         if part.is_file():
             digest.update(part.read_bytes())
-    try:
-        version = importlib.metadata.version(renderer)
-    except importlib.metadata.PackageNotFoundError:
-        version = ""
     return {
         "scene": scene,
         "contents": digest.hexdigest()[:16],
         "renderer": renderer,
-        "renderer_version": version,
+        "renderer_version": adapters.version(renderer),
     }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
@@ -97,6 +98,11 @@ class MitsubaRenderer:
     def probe(cls) -> str:
         """A line on the version and the variants that run here; raises RuntimeError if none does."""
         return variants.probe()
+
+    @classmethod
+    def version(cls) -> str:
+        """Mitsuba's version."""
+        return str(mi.__version__)
 
     @property
     def signed(self) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 from pathlib import Path
 from typing import Any
@@ -29,10 +30,10 @@ def scene_of(scene: Any, size: tuple[int, int] | None = None) -> Scene:
             f"a scene is a built-in scene's name, an .xml, .gltf or .glb file, or a Scene, not {type(scene).__name__}"
         )
     file = Path(scene)
-    if file.suffix.lower() in (".gltf", ".glb"):
-        from . import gltf
-
-        return gltf.read(file, size)
-    from . import mitsuba_scene
-
-    return mitsuba_scene.read(file, size)
+    reader = "gltf" if file.suffix.lower() in (".gltf", ".glb") else "mitsuba_scene"
+    try:
+        read = importlib.import_module(f".{reader}", __package__).read
+    except ModuleNotFoundError as error:
+        raise RuntimeError(f"reading {scene} needs the Python module {error.name}: pip install 'pmc-sampler[opencl]'") from error
+    made: Scene = read(file, size)
+    return made

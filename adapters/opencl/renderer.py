@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 import threading
 import time
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -92,6 +92,12 @@ class OpenCLRenderer:
         """A line with the devices; raises RuntimeError if there is none."""
         devices.choose("0")
         return "; ".join(f"{i}: {devices.label(device)}" for i, device in enumerate(devices.devices()))
+
+    @classmethod
+    def version(cls) -> str:
+        """That of pyopencl, and a digest of the kernels' text."""
+        digest = hashlib.sha256(program.source({}).encode()).hexdigest()
+        return f"{cl.VERSION_TEXT}, kernels {digest[:12]}"
 
     @property
     def device(self) -> str:

@@ -9,7 +9,7 @@ from typing import NoReturn
 from pmc_sampler import __version__
 
 METHODS = ("pmc", "pmc-paper", "pt")
-DEFAULT_RENDERER = "mitsuba"
+DEFAULT_RENDERER = "opencl"
 DEFAULT_SPP = 64
 
 
@@ -55,6 +55,11 @@ def _render(p: argparse.ArgumentParser) -> None:
         choices=("sobol", "independent"),
         default="sobol",
         help="the renderer's random numbers: Owen-scrambled Sobol points (default) or independent ones",
+    )
+    p.add_argument(
+        "--device",
+        metavar="NAME",
+        help="OpenCL device, by a part of its name or its number in `renderers`; default: $PMC_SAMPLER_DEVICE or the best",
     )
     p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
     p.add_argument(

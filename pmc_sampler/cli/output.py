@@ -1,10 +1,11 @@
 """What a render leaves: an EXR with layers and metadata, a PNG beside it, a summary."""
 
 import argparse
+import importlib
 import json
 import math
 import platform
-import sys
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from types import ModuleType
@@ -25,7 +26,7 @@ class Output:
         self._images: ModuleType = load("pmc_sampler.eval.images", "writing images", "eval")
         self._options = options
         # The default's folder is where the user is, not where the scene is.
-        given = options.output or Path(Path(options.scene).name.removesuffix(".xml") + ".exr")
+        given = options.output or Path(re.sub(r"\.(xml|gltf|glb)$", "", Path(options.scene).name) + ".exr")
         try:
             self._images.require()
             self.exr: Path = self._images.check_writable(given)
@@ -92,6 +93,5 @@ def _versions(renderer: str) -> dict[str, str]:
         "python": platform.python_version(),
         "platform": platform.platform(),
     }
-    # A renderer's adapter is called as the package it drives, which is imported by now.
-    version = getattr(sys.modules.get(renderer), "__version__", None)
-    return versions if version is None else {**versions, renderer: str(version)}
+    version = importlib.import_module("pmc_sampler.adapters").version(renderer)
+    return {**versions, renderer: version} if version else versions

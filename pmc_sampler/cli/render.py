@@ -89,7 +89,8 @@ def _job(options: argparse.Namespace) -> Job:
     settings.config(options.method, options.config)  # a mistake in it shows before the scene is loaded
     try:
         adapters = importlib.import_module("pmc_sampler.adapters")
-        radiance = adapters.load(options.renderer, options.scene, sampler=options.sampler, size=options.size)
+        chosen = {} if options.device is None else {"device": options.device}
+        radiance = adapters.load(options.renderer, options.scene, sampler=options.sampler, size=options.size, **chosen)
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:
         raise CommandError(" ".join(str(error).split())) from error
     config = settings.config(options.method, options.config, radiance)
