@@ -58,7 +58,9 @@ def choose(name: str | None = None) -> Any:
         if wanted.lower() in label(device).lower():
             return device
     there = "; ".join(f"{i}: {label(device)}" for i, device in enumerate(found))
-    raise ValueError(f"no OpenCL device is called {wanted!r}{source}; give the number or a part of the name of: {there}")
+    raise ValueError(
+        f"no OpenCL device is called {wanted!r}{source}; give the number or a part of the name of: {there}"
+    )
 
 
 def label(device: Any) -> str:

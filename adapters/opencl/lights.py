@@ -44,9 +44,7 @@ def light_table(scene: Scene) -> Lights:
     for mesh, count in zip(scene.meshes, counts, strict=True):
         if count and mesh.radiance is not None and max(mesh.radiance) > 0.0:
             corners = mesh.vertices.astype(np.float64)[mesh.triangles]
-            areas = 0.5 * np.linalg.norm(
-                np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1
-            )
+            areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
             kept = np.flatnonzero(areas > 0.0)  # a light without area sends out nothing
             texture = -1 if mesh.radiance_texture is None else mesh.radiance_texture
             of_triangle[start + kept] = number + np.arange(len(kept))

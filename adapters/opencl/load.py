@@ -7,7 +7,6 @@ import os
 from pathlib import Path
 from typing import Any
 
-from ... import scenes
 from .scene import Scene
 
 __all__ = ["scene_of"]
@@ -34,6 +33,8 @@ def scene_of(scene: Any, size: tuple[int, int] | None = None) -> Scene:
     try:
         read = importlib.import_module(f".{reader}", __package__).read
     except ModuleNotFoundError as error:
-        raise RuntimeError(f"reading {scene} needs the Python module {error.name}: pip install 'pmc-sampler[opencl]'") from error
+        raise RuntimeError(
+            f"reading {scene} needs the Python module {error.name}: pip install 'pmc-sampler[opencl]'"
+        ) from error
     made: Scene = read(file, size)
     return made

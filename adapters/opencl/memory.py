@@ -27,8 +27,9 @@ def check(device: Any, arrays: dict[str, NDArray[Any]]) -> None:
     for name, array in arrays.items():
         if array.nbytes > device.max_mem_alloc_size:
             raise MemoryError(
-                f"the scene's {name.replace('_', ' ')} take {_mib(array.nbytes)}, and the OpenCL device {label(device)} "
-                f"holds at most {_mib(device.max_mem_alloc_size)} in one piece; take a smaller scene or another device"
+                f"the scene's {name.replace('_', ' ')} take {_mib(array.nbytes)}, and the OpenCL device "
+                f"{label(device)} holds at most {_mib(device.max_mem_alloc_size)} in one piece; take a smaller "
+                f"scene or another device"
             )
     total = sum(array.nbytes for array in arrays.values())
     if total > device.global_mem_size:

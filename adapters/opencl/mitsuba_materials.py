@@ -147,6 +147,8 @@ def _mask(node: Node, params: Any, path: str) -> Read:
     alpha = mask.texture.pixels[..., :3] @ _LUMINANCE.astype(np.float32)
     if np.ptp(mask.texture.pixels[..., :3], axis=-1).max() == 0.0:
         alpha = mask.texture.pixels[..., 0]  # grey as it is
+    if mask.node.kind == "checkerboard" and _swaps_opacity():
+        alpha = alpha[::-1]
     pixels = np.ones((*alpha.shape, 4), np.float32)
     if "color_texture" in images:  # the tracer has one texture for colour and opacity
         color = images["color_texture"]
@@ -160,6 +162,14 @@ def _mask(node: Node, params: Any, path: str) -> Read:
     pixels[..., 3] = np.clip(alpha, 0.0, 1.0)
     images = {**images, "color_texture": replace(mask, texture=replace(mask.texture, pixels=pixels))}
     return replace(material, cut_out=True), images
+
+
+def _swaps_opacity() -> bool:
+    """Whether Mitsuba's checkerboard swaps its colours where one number is asked for, as that of 3.9 does."""
+    board = mi.load_dict({"type": "checkerboard", "color0": 0.0, "color1": 1.0})
+    place = mi.SurfaceInteraction3f()
+    place.uv = mi.Point2f(0.25, 0.25)
+    return float(board.eval_1(place)) > 0.5
 
 
 def _normalmap(node: Node, params: Any, path: str) -> Read:

@@ -15,7 +15,20 @@ __all__ = ["build", "source"]
 
 _FOLDER = Path(__file__).resolve().parent / "kernels"
 # Each uses those before it.
-_FILES = ("vector", "random", "geometry", "trace", "microfacet", "metallic", "bsdf", "surface", "material", "light", "path", "render")
+_FILES = (
+    "vector",
+    "random",
+    "geometry",
+    "trace",
+    "microfacet",
+    "metallic",
+    "bsdf",
+    "surface",
+    "material",
+    "light",
+    "path",
+    "render",
+)
 # Divisions and square roots may be off by some units in the last place; nothing counts on more than that.
 OPTIONS = ("-cl-std=CL1.2",)
 
@@ -34,8 +47,10 @@ def source(macros: dict[str, str]) -> str:
     return "".join(f"#define {name} {value}\n" for name, value in macros.items()) + _text()
 
 
-def build(context: Any, macros: dict[str, str], options: tuple[str, ...] = OPTIONS) -> Any:
-    """The kernel `render`, compiled for the context's one device.
+def build(
+    context: Any, macros: dict[str, str], kernel: str = "render", more: str = "", options: tuple[str, ...] = OPTIONS
+) -> Any:
+    """A kernel, compiled for the context's one device. `more` is source text after that of the files.
 
     A program that was built before comes from a cache on disk: the driver's where it has one (PoCL, NVIDIA), else
     that of pyopencl.
@@ -45,7 +60,7 @@ def build(context: Any, macros: dict[str, str], options: tuple[str, ...] = OPTIO
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", cl.CompilerWarning)
-            return cl.Kernel(cl.Program(context, source(macros)).build(list(options)), "render")
+            return cl.Kernel(cl.Program(context, source(macros) + more).build(list(options)), kernel)
     except cl.Error as error:
         (device,) = context.devices
         raise RuntimeError(

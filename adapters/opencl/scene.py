@@ -51,8 +51,8 @@ class Material:
     kind: one of `KINDS`; those before the last are Mitsuba's plugins of that name (rough ones are GGX, with visible
         normals sampled), the last is glTF 2.0's, with KHR_materials_transmission and KHR_materials_ior.
     color: diffuse reflectance, plastic's diffuse reflectance, or glTF's base colour; color_texture its texture.
-    cut_out: whether alpha counts: opacity, the texture's alpha and the vertices' multiplied. A surface is not there where
-        alpha is below alpha_cutoff; where that is None it lets the share 1 - alpha of all paths straight through.
+    cut_out: whether alpha counts: opacity, the texture's alpha and the vertices' multiplied. A surface is not there
+        where alpha is below alpha_cutoff; where that is None it lets the share 1 - alpha of all paths straight through.
     vertex_colors: whether the mesh's vertex colours multiply color.
     specular_reflectance, specular_transmittance: factors, 1 for physical interfaces.
     eta: index of refraction inside over outside (dielectrics, plastic, metallic-roughness), of which a side is told by

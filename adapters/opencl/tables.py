@@ -1,4 +1,4 @@
-"""From a scene to what the kernel is compiled and called with: macros that leave out what the scene does not have, and arrays."""
+"""From a scene to what the kernel is compiled and called with: macros, which leave out what it does not have, and arrays."""
 
 from __future__ import annotations
 

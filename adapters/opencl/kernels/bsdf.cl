@@ -40,6 +40,19 @@ INLINE float plastic_specular_share(const Bsdf* b, float f) {
 }
 #endif
 
+#if HAS_METALLIC_ROUGHNESS
+INLINE Metallic metallic_of(global const float4* rows, global const int* ints, float metallic, float roughness) {
+    const float eta = rows[REFLECTANCE_ETA].w, transmission = rows[METALLIC].z;
+    Metallic m;
+    m.metallic = metallic;
+    m.alpha = larger(roughness * roughness, 1e-3f);
+    m.transmission = transmission;
+    m.eta = transmission == 0.0f || (ints[FLAGS] & THIN) ? 1.0f : eta;
+    m.f0 = square((eta - 1.0f) / (eta + 1.0f));
+    return m;
+}
+#endif
+
 // Value times cosine, and the density with which `scatter` draws wo; both 0 where all scattering is by perfect mirrors.
 INLINE float3 evaluate(const Bsdf* b, float3 wi, float3 wo, float* density) {
     *density = 0.0f;

@@ -83,12 +83,7 @@ INLINE Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi, float* opacity) {
         roughness *= texel.y;
     }
 #endif
-    const float eta = b.rows[REFLECTANCE_ETA].w;
-    b.metallic.metallic = metallic;
-    b.metallic.alpha = larger(roughness * roughness, 1e-3f);
-    b.metallic.transmission = row.z;
-    b.metallic.eta = row.z == 0.0f || (ints[FLAGS] & THIN) ? 1.0f : eta;
-    b.metallic.f0 = square((eta - 1.0f) / (eta + 1.0f));
+    b.metallic = metallic_of(b.rows, ints, metallic, roughness);
 #endif
     return b;
 }

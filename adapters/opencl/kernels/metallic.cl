@@ -46,8 +46,11 @@ INLINE float3 metallic_evaluate(const Metallic* m, float3 color, float3 wi, floa
         const float d = ggx_d(h, m->alpha), g = ggx_g1(i, h, m->alpha);
         const float3 metal = color + (1.0f - color) * s, f = coat + (metal - coat) * m->metallic;
         *density = lobes.x * d * g / (4.0f * i.z) + lobes.y * o.z * INV_PI;
+        // What the coat does not reflect on the way in and out, over its mean: white stays white (Kelemen and Szirmay-Kalos 2001,
+        // doi:10.2312/egs.20011013), where the specification's 1 - F at the half vector gains a tenth at grazing angles.
+        const float base = (1.0f - coat_reflectance(m, i.z, side)) * (1.0f - coat_reflectance(m, o.z, side)) / ((1.0f - m->f0) * (20.0f / 21.0f));
         return f * (d * g * ggx_g1(o, h, m->alpha) / (4.0f * i.z)) +
-               color * ((1.0f - m->metallic) * (1.0f - m->transmission) * (1.0f - coat) * o.z * INV_PI);
+               color * ((1.0f - m->metallic) * (1.0f - m->transmission) * base * o.z * INV_PI);
     }
     if (m->transmission == 0.0f) return (float3)(0.0f);
     const float rest = (1.0f - m->metallic) * m->transmission;
@@ -79,12 +82,14 @@ INLINE float3 metallic_direction(const Metallic* m, float3 color, float3 wi, flo
     const float3 h = ggx_normal(i, m->alpha, u, v);
     const float i_h = inner(i, h);
     const float3 mirrored = 2.0f * i_h * h - i;
+    if (mirrored.z <= 0.0f && (lobe < lobes.x || m->eta == 1.0f)) return (float3)(0.0f);
     if (lobe < lobes.x) return mirrored * side;
     if (m->eta == 1.0f) return (float3)(mirrored.x, mirrored.y, -mirrored.z) * side;
     const float ratio = side > 0.0f ? m->eta : 1.0f / m->eta, squared = 1.0f - (1.0f - i_h * i_h) / square(ratio);
     if (squared <= 0.0f) return (float3)(0.0f);  // total reflection is the coat's
     *eta = ratio;
-    return (h * (i_h / ratio - root(squared)) - i / ratio) * side;
+    const float3 refracted = h * (i_h / ratio - root(squared)) - i / ratio;
+    return refracted.z < 0.0f ? refracted * side : (float3)(0.0f);
 }
 
 #endif

@@ -25,7 +25,7 @@ OVERLOADED float magnitude(float x) { return as_float(as_int(x) & 0x7fffffff); }
 OVERLOADED float3 magnitude(float3 x) { return as_float3(as_int3(x) & 0x7fffffff); }
 INLINE float with_sign_of(float x, float sign) { return as_float((as_int(x) & 0x7fffffff) | (as_int(sign) & (int)0x80000000)); }
 
-#if defined(__clang__) && defined(__x86_64__)
+#if defined(__clang__) && defined(__x86_64__) && !defined(PORTABLE)
 OVERLOADED float root(float x) { return __builtin_sqrtf(x); }
 INLINE int lowest(uint bits) { return __builtin_ctz(bits); }
 #else
@@ -37,7 +37,7 @@ OVERLOADED float3 root(float3 v) { return (float3)(root(v.x), root(v.y), root(v.
 
 // A bit for each lane that is true; that of lane 0 is the lowest.
 INLINE uint lanes(int8 mask) {
-#if defined(__clang__) && defined(__AVX__)
+#if defined(__clang__) && defined(__AVX__) && !defined(PORTABLE)
     return (uint)__builtin_ia32_movmskps256(as_float8(mask));
 #else
     const int8 bits = mask & (int8)(1, 2, 4, 8, 16, 32, 64, 128);
