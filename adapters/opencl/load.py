@@ -29,6 +29,10 @@ def scene_of(scene: Any, size: tuple[int, int] | None = None) -> Scene:
             f"a scene is a built-in scene's name, an .xml, .gltf or .glb file, or a Scene, not {type(scene).__name__}"
         )
     file = Path(scene)
+    if file.suffix.lower() not in ("", ".xml", ".gltf", ".glb"):
+        raise ValueError(
+            f"{scene} is no scene file that is known; read are .xml, .gltf and .glb, and built-in scenes by name"
+        )
     reader = "gltf" if file.suffix.lower() in (".gltf", ".glb") else "mitsuba_scene"
     try:
         read = importlib.import_module(f".{reader}", __package__).read

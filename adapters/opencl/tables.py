@@ -1,4 +1,4 @@
-"""From a scene to what the kernel is compiled and called with: macros, which leave out what it does not have, and arrays."""
+"""From a scene to what the kernel is compiled with, macros that leave out what it lacks, and is called with, arrays."""
 
 from __future__ import annotations
 

@@ -2,8 +2,12 @@
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
+#include <cstddef>
+#include <cstdint>
 #include <memory>
 #include <string>
+#include <utility>
+#include <vector>
 
 #include "bvh.hpp"
 
@@ -41,8 +45,7 @@ nb::tuple build(const Input& lower, const Input& upper, std::int64_t packet, std
     bvh::Tree tree;
     {
         nb::gil_scoped_release release;
-        bvh::Builder builder(count, lower.data(), upper.data(), static_cast<std::size_t>(packet), static_cast<unsigned>(threads));
-        tree = builder.build();
+        tree = bvh::build(count, lower.data(), upper.data(), static_cast<std::size_t>(packet), static_cast<unsigned>(threads));
     }
     const std::size_t nodes = tree.children.size() / bvh::width, size = tree.order.size();
     const std::size_t bounds_shape[3] = {nodes, 6, bvh::width}, children_shape[2] = {nodes, bvh::width}, order_shape[1] = {size};

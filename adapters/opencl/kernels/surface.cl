@@ -132,8 +132,12 @@ INLINE Surface surface_at(const Surfaces* g, const Hit* hit, const Ray* ray) {
     return sphere_surface(g, hit->prim - TRIANGLES, ray, hit->t);
 #elif TRIANGLES
     return triangle_surface(g, hit->prim, ray);
-#else
+#elif SPHERES
     return sphere_surface(g, hit->prim, ray, hit->t);
+#else
+    Surface nothing;  // nor is it asked for
+    nothing.material = 0;
+    return nothing;
 #endif
 }
 
