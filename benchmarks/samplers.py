@@ -5,7 +5,6 @@ References are rendered once and kept in the user's cache folder.
 """
 
 import argparse
-import importlib.metadata
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any
 
 from pmc_sampler.eval import benchmark, references, results
 
-from pmc_sampler import adapters, scenes
+from pmc_sampler import __version__, adapters, scenes
 from pmc_sampler.cli.arguments import size
 
 SCENES = ("cornell-box", "cornell-box-mirrors", "thin-lens", "diffuse")
@@ -28,7 +27,10 @@ def main(arguments: list[str] | None = None) -> int:
         spp=options.spp,
         seeds=options.seeds,
         reference_spp=options.reference_spp,
-        identities={name: references.identify(name, options.renderer) for name in options.scenes},
+        identities={
+            name: references.identify(name, options.renderer, adapters.version(options.renderer))
+            for name in options.scenes
+        },
         code=benchmark.fingerprint(_adapter_files(options.renderer)),
     )
     options.output.mkdir(parents=True, exist_ok=True)
@@ -70,11 +72,12 @@ def _loader(renderer: str, width: int, height: int) -> Callable[[str, str], Any]
 
 
 def _adapter_files(renderer: str) -> list[Path]:
-    return sorted((Path(adapters.__file__).parent / renderer).rglob("*.py"))
+    folder = Path(adapters.__file__).parent / renderer
+    return sorted(file for file in folder.rglob("*") if file.suffix in (".py", ".cl", ".hpp"))
 
 
 def _versions(renderer: str) -> dict[str, str]:
-    return {name: importlib.metadata.version(name) for name in ("pmc-sampler", renderer)}
+    return {"pmc-sampler": __version__, renderer: adapters.version(renderer)}
 
 
 def _command(options: argparse.Namespace) -> str:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmc_sampler import Budget, Config, Sampler, adapters, luminance, scenes
+from pmc_sampler import Budget, Config, Sampler, luminance, scenes
 from pmc_sampler.sampler import sampler_for
 
 SEED = 0x5EED_0000
@@ -67,11 +67,12 @@ def key(settings: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def identify(scene: str, renderer: str) -> dict[str, str]:
+def identify(scene: str, renderer: str, version: str) -> dict[str, str]:
     """What a scene's image depends on besides size and samples, for :func:`key`.
 
     ``scene`` is a built-in scene's name or a file; its contents count, and those of the files that it names.
-    ``renderer`` is a renderer's name; its version counts, as `pmc_sampler.adapters.version` has it.
+    ``renderer`` is a renderer's name; ``version`` what else its images depend on, as
+    :func:`pmc_sampler.adapters.version` has it.
     """
     file = scenes.path(scene) if scene in scenes.names() else Path(scene)
     contents = file.read_bytes()
@@ -84,7 +85,7 @@ def identify(scene: str, renderer: str) -> dict[str, str]:
         "scene": scene,
         "contents": digest.hexdigest()[:16],
         "renderer": renderer,
-        "renderer_version": adapters.version(renderer),
+        "renderer_version": version,
     }
 
 

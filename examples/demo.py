@@ -46,7 +46,7 @@ def main(words: list[str] | None = None) -> int:
         width,
         height,
         options.reference_spp,
-        references.identify(SCENE, options.renderer),
+        references.identify(SCENE, options.renderer, adapters.version(options.renderer)),
         cache=options.output / "reference",
     )
     write_images(options.output, results, reference)
@@ -61,7 +61,7 @@ def main(words: list[str] | None = None) -> int:
 def arguments(words: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("demo"), metavar="DIR")
-    parser.add_argument("--renderer", default="mitsuba")
+    parser.add_argument("--renderer", default="opencl")
     parser.add_argument("--size", type=size, default=(320, 240), metavar="WxH")
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--seed", type=int, default=1)

@@ -18,10 +18,11 @@ def build(
       the root, and children come after their parents, depth first.
     - `order`, (m,) int32: the primitives in the order of the leaves, a multiple of `packet` of them: each leaf is
       filled up with -1.
-    - `depth`: the most nodes on a path from the root; a traversal's stack needs at most 7 * depth + 1 entries.
+    - `depth`: the most nodes on a path from the root, at most 77 whatever the boxes; a traversal's stack needs at most
+      7 * depth + 1 entries.
 
-    Raises ValueError where a shape is another, there is no box, a box has a corner that is not finite or lower >
-    upper, or packet or threads are out of range.
+    Raises ValueError where a shape is another, there is no box or more than 2^28 - 1, a box has a corner that is not
+    finite or lower > upper (the first such box is named), or packet or threads are out of range.
 
     Splits by the surface area heuristic over bins (Wald 2007, doi:10.1109/RT.2007.4342588), collapsed to eight
     children and leaves of whole packets at the least cost (Ylitie et al. 2017, doi:10.1145/3105762.3105773).

@@ -46,6 +46,11 @@ class OpenCLRenderer:
     hierarchy
         Whether rays are traced through a hierarchy of boxes; by default where it is faster.
 
+    Attributes
+    ----------
+    seconds
+        What was spent so far on "transfers" to and from the device, and in its "kernel".
+
     Raises
     ------
     FileNotFoundError, OSError
@@ -86,6 +91,7 @@ class OpenCLRenderer:
         self._capacity = 0
         self._buffers: tuple[Any, ...] = ()
         self._rate = 0.0  # paths a second, of the last piece
+        self.seconds = {"transfers": 0.0, "kernel": 0.0}
 
     @classmethod
     def probe(cls) -> str:
@@ -147,16 +153,21 @@ class OpenCLRenderer:
         count = len(out)
         with memory.guarded(self._device, count * 28):
             buffers = self._room(count)
+            began = time.perf_counter()
             for buffer, array in zip(buffers[:3], inputs, strict=True):
                 cl.enqueue_copy(self._queue, buffer, array, is_blocking=False)
             self._queue.finish()
-            began = time.perf_counter()
+            copied = time.perf_counter()
             for place, value in enumerate((np.uint32(0), np.uint32(count), *buffers)):
                 self._kernel.set_arg(place, value)
             cl.enqueue_nd_range_kernel(self._queue, self._kernel, (-(-count // _GROUP) * _GROUP,), (_GROUP,))
             self._queue.finish()
-            self._rate = count / max(time.perf_counter() - began, 1e-6)
+            traced = time.perf_counter()
             cl.enqueue_copy(self._queue, out, buffers[3])
+            ended = time.perf_counter()
+        self._rate = count / max(traced - copied, 1e-6)
+        self.seconds["kernel"] += traced - copied
+        self.seconds["transfers"] += ended - began - (traced - copied)
 
     def _room(self, count: int) -> tuple[Any, ...]:
         """Buffers for positions, scrambles, indices and radiance of `count` samples, kept for later batches."""

@@ -60,6 +60,16 @@ def test_a_third_partys_renderer(third_party: type) -> None:
     assert entry.detail == "Theirs 2.0 on this machine"
 
 
+def test_versions(third_party: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the class says, else the package of that name, else nothing."""
+    from pmc_sampler import adapters
+
+    assert adapters.version("theirs") == ""
+    assert adapters.version("numpy") == metadata.version("numpy")
+    monkeypatch.setattr(third_party, "version", classmethod(lambda cls: "2.0"), raising=False)
+    assert adapters.version("theirs") == "2.0"
+
+
 def test_unknown_names_and_options(third_party: type) -> None:
     from pmc_sampler import adapters
 
