@@ -232,8 +232,8 @@ def _head(options: argparse.Namespace) -> str:
     command = "python " + " ".join(["benchmarks/opencl.py", *sys.argv[1:]])
     return (
         f"# Speed of the OpenCL tracer\n\n`{command}`\n\n{options.size[0]}x{options.size[1]} pixels, {options.spp} "
-        f"samples a pixel, {options.rounds} rounds. Device: {device}; Mitsuba {mi.__version__}, LLVM on the same processor; "
-        f"{platform.system()}, Python {platform.python_version()}."
+        f"samples a pixel, {options.rounds} rounds. Device: {device}; Mitsuba {mi.__version__}, LLVM on the same "
+        f"processor; {platform.system()}, Python {platform.python_version()}."
     )
 
 

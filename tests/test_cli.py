@@ -616,9 +616,10 @@ def test_help_and_version_go_to_standard_output(capsys: pytest.CaptureFixture[st
     assert pmc_sampler.__version__ in out
 
 
-@pytest.mark.needs("mitsuba")
-def test_mitsuba_renders_a_scene_by_every_method(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.needs("mitsuba", "pyopencl")
+@pytest.mark.parametrize("renderer", ["mitsuba", "opencl"])
+def test_a_scene_by_every_method(
+    renderer: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A built-in scene by name and the same as a file are one image; the methods are three."""
     from pmc_sampler import scenes
@@ -626,7 +627,7 @@ def test_mitsuba_renders_a_scene_by_every_method(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "copy.xml").write_bytes(scenes.path("cornell-box").read_bytes())
     (tmp_path / "paper.toml").write_text("population = 1000\n")
-    common = ["--size", "64x48", "--spp", "8", "--json"]
+    common = ["--renderer", renderer, "--size", "64x48", "--spp", "8", "--json"]
     for name, words in {
         "pmc": ["cornell-box"],
         "file": ["copy.xml"],
@@ -643,10 +644,10 @@ def test_mitsuba_renders_a_scene_by_every_method(
     assert (image["pt"].layers["samples"] == 8).all()
     assert image["pmc"].layers["samples"].std() > 0
     assert (image["pt"].rgb != image["independent"].rgb).any()
-    assert "mitsuba" in json.loads(metadata("pmc.exr")["versions"])
+    assert renderer in json.loads(metadata("pmc.exr")["versions"])
 
 
-@pytest.mark.needs("mitsuba")
+@pytest.mark.needs("mitsuba", "pyopencl")
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
@@ -655,6 +656,8 @@ def test_mitsuba_renders_a_scene_by_every_method(
         ("render broken.xml", "broken.xml"),
         ("render picture.gif", "picture.gif"),
         ("render cornell-box --renderer mitsuba3", "mitsuba"),
+        ("render cornell-box --device teapot", "no OpenCL device is called 'teapot'"),
+        ("render cornell-box --renderer mitsuba --device 0", "has no option 'device'"),
     ],
 )
 def test_bad_scenes_get_one_sentence(

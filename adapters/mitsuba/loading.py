@@ -15,7 +15,20 @@ import mitsuba as mi
 
 from ... import scenes
 
-__all__ = ["check_film", "filter_of", "integrator_of", "is_scene", "load_scene", "sensor_of", "takes_mode"]
+__all__ = [
+    "check_film",
+    "check_size",
+    "files_beside",
+    "filter_of",
+    "guarded",
+    "integrator_of",
+    "is_scene",
+    "load_scene",
+    "resize",
+    "scene_file",
+    "sensor_of",
+    "takes_mode",
+]
 
 _FILTERS = {"BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian"}
 
@@ -37,7 +50,7 @@ def load_scene(scene: Any, variant: str, size: tuple[int, int] | None = None) ->
     crop, TypeError for anything else.
     """
     if size is not None:
-        _check_size(size)
+        check_size(size)
     if is_scene(scene):
         return scene
     config = mi.parser.ParserConfig(variant)
@@ -45,15 +58,15 @@ def load_scene(scene: Any, variant: str, size: tuple[int, int] | None = None) ->
         if scene.get("type") != "scene":
             raise ValueError(f'a scene dictionary has "type": "scene"; this one has {scene.get("type")!r}')
         what = "the scene dictionary"
-        parsed = _guarded(what, mi.parser.parse_dict, config, dict(scene))
+        parsed = guarded(what, mi.parser.parse_dict, config, dict(scene))
     else:
         what = str(scene)
-        parsed = _guarded(what, mi.parser.parse_file, config, str(_file(scene)))
-    _guarded(what, mi.parser.transform_all, config, parsed)
+        parsed = guarded(what, mi.parser.parse_file, config, str(scene_file(scene)))
+    guarded(what, mi.parser.transform_all, config, parsed)
     if size is not None:
-        _resize(parsed, size)
-    with _files_beside(scene):
-        return _guarded(what, mi.parser.instantiate, config, parsed)
+        resize(parsed, size)
+    with files_beside(scene):
+        return guarded(what, mi.parser.instantiate, config, parsed)
 
 
 def sensor_of(scene: Any, sensor: Any) -> Any:
@@ -88,7 +101,7 @@ def integrator_of(scene: Any, integrator: Any) -> Any:
             raise ValueError('the scene names no integrator; add one, or pass integrator="path"')
     elif isinstance(integrator, str | Mapping):
         plugin = {"type": integrator} if isinstance(integrator, str) else dict(integrator)
-        integrator = _guarded(f"the integrator {plugin.get('type')!r}", mi.load_dict, plugin)
+        integrator = guarded(f"the integrator {plugin.get('type')!r}", mi.load_dict, plugin)
     if hasattr(integrator, "pmc_nested"):  # our own plugin stands for the integrator it steers
         integrator = integrator.pmc_nested
     if not isinstance(integrator, mi.SamplingIntegrator):
@@ -134,7 +147,7 @@ def filter_of(film: Any) -> dict[str, Any]:
     return {"filter": _FILTERS[name], "filter_radius": float(kernel.radius())}
 
 
-def _file(scene: Any) -> Path:
+def scene_file(scene: Any) -> Path:
     """The file meant by a path or a built-in scene's name; it can be read."""
     if not isinstance(scene, str | os.PathLike):
         raise TypeError(
@@ -160,12 +173,12 @@ def _file(scene: Any) -> Path:
 
 
 @contextlib.contextmanager
-def _files_beside(scene: Any) -> Iterator[None]:
+def files_beside(scene: Any) -> Iterator[None]:
     """Lets a scene file name meshes and textures relative to where it is, as `mi.load_file` does."""
     before = mi.file_resolver()
     if not isinstance(scene, Mapping):
         resolver = mi.FileResolver(before)
-        resolver.prepend(str(_file(scene).parent))
+        resolver.prepend(str(scene_file(scene).parent))
         mi.set_file_resolver(resolver)
     try:
         yield
@@ -173,7 +186,8 @@ def _files_beside(scene: Any) -> Iterator[None]:
         mi.set_file_resolver(before)
 
 
-def _check_size(size: Any) -> None:
+def check_size(size: Any) -> None:
+    """Raises ValueError for what is no (width, height) in whole pixels."""
     try:
         good = len(size) == 2 and all(side == int(side) and side >= 1 for side in size)
     except (TypeError, ValueError):
@@ -182,7 +196,7 @@ def _check_size(size: Any) -> None:
         raise ValueError(f"a size is (width, height) in whole pixels, at least 1 by 1, not {size!r}")
 
 
-def _resize(parsed: Any, size: tuple[int, int]) -> None:
+def resize(parsed: Any, size: tuple[int, int]) -> None:
     """Gives the films of a parsed scene a size."""
     for node in parsed.nodes:
         if node.type == mi.ObjectType.Film:
@@ -197,7 +211,7 @@ def _by(size: Any) -> str:
     return f"{size[0]}x{size[1]}"
 
 
-def _guarded(what: str, load: Any, *arguments: Any) -> Any:
+def guarded(what: str, load: Any, *arguments: Any) -> Any:
     """`load(*arguments)`, its failure turned into one sentence."""
     try:
         return load(*arguments)

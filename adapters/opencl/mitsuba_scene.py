@@ -60,16 +60,16 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
     Raises FileNotFoundError for a missing file, OSError for one that cannot be read, and ValueError for content that
     Mitsuba cannot load or that is not supported, which is named with its place in the file.
     """
-    file = loading._file(file)
+    file = loading.scene_file(file)
     if size is not None:
-        loading._check_size(size)
-    with variants.active(_VARIANT), loading._files_beside(file):
+        loading.check_size(size)
+    with variants.active(_VARIANT), loading.files_beside(file):
         config = mi.parser.ParserConfig(_VARIANT)
         config.merge_meshes = config.merge_equivalent = False  # shapes stay those of the file
-        parsed = loading._guarded(str(file), mi.parser.parse_file, config, str(file))
-        loading._guarded(str(file), mi.parser.transform_all, config, parsed)
+        parsed = loading.guarded(str(file), mi.parser.parse_file, config, str(file))
+        loading.guarded(str(file), mi.parser.transform_all, config, parsed)
         if size is not None:
-            loading._resize(parsed, size)
+            loading.resize(parsed, size)
         root = Node(parsed, 0)
         if root.type != mi.ObjectType.Scene:
             raise ValueError(f"{root.where} is no scene")
@@ -81,7 +81,7 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
         for key, child in root.children().items():
             if child.type == mi.ObjectType.Integrator:  # it may be one that this variant lacks
                 del made.nodes[root.index].props[key]
-        loaded = loading._guarded(str(file), mi.parser.instantiate, config, made)
+        loaded = loading.guarded(str(file), mi.parser.instantiate, config, made)
         return _scene(loaded, {f"node {node.index}": node for node in nodes}, path)
 
 

@@ -59,7 +59,7 @@ def _render(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--device",
         metavar="NAME",
-        help="OpenCL device, by a part of its name or its number in `renderers`; default: $PMC_SAMPLER_DEVICE or the best",
+        help="OpenCL device: part of its name, or its number in `renderers`; default: $PMC_SAMPLER_DEVICE or the best",
     )
     p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
     p.add_argument(
