@@ -73,6 +73,9 @@ class Meshes:
         )
         if len(triangles) == 0:
             return
+        name = f"{primitive.name} in {node}"
+        if not np.isfinite(vertices).all():  # said here, since the camera may be placed by them
+            raise ValueError(f"the vertices of {name} are NaN or infinite in part: expected finite positions")
         uv_sets = {i for i, name in enumerate(_COORDINATES) if name in attributes}
         colors = attributes.get("COLOR_0")
         look = self.materials.look(primitive.material, colors is not None, uv_sets)
@@ -92,7 +95,7 @@ class Meshes:
                 radiance=look.radiance,
                 radiance_texture=look.radiance_texture,
                 emits_both_sides=look.emits_both_sides,
-                name=f"{primitive.name} in {node}",
+                name=name,
             )
         )
 
@@ -107,7 +110,7 @@ class Meshes:
         primitive = mesh.primitives[number]
         name = f"primitive {number} of {title('mesh', mesh_index, mesh.name)}"
         mode = _mode(primitive.mode, name)
-        wanted = vars(primitive.attributes)
+        wanted = getattr(primitive.attributes, "__dict__", {})  # none, where they are empty
         if not mode.startswith("TRIANGLE") or wanted.get("POSITION") is None:
             self._without[f"{name} ({mode if wanted.get('POSITION') is not None else 'no POSITION'})"] = None
             return None
