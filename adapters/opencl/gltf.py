@@ -131,7 +131,7 @@ def _perspective(perspective: Any, label: str, placed: Placed, size: tuple[int, 
         (far,) = numbers(perspective.zfar, 1, f"the zfar of {label}", 0.0)
     aspect = _ASPECT
     if perspective.aspectRatio is not None:
-        (aspect,) = numbers(perspective.aspectRatio, 1, f"the aspectRatio of {label}", 0.0)
+        (aspect,) = numbers(perspective.aspectRatio, 1, f"the aspectRatio of {label}", 1e-6, 1e6)
     width, height = size or (max(1, round(_HEIGHT * aspect)), _HEIGHT)
     matrix = placed.matrix  # scale is not the camera's (section 3.10.1): only directions count
     camera = _pinhole(width, height, matrix[:3, 3], -matrix[:3, 2], matrix[:3, 1], math.tan(yfov / 2.0), near, far)

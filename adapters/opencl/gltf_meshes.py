@@ -214,26 +214,22 @@ def _transformed(
 
     Where it mirrors, triangles turn round; where it leaves no area, there are none: so nodes are hidden.
     """
-    linear = matrix[..., :3, :3]
-    x, y, z = (linear[..., i] for i in range(3))
-    cofactors = np.stack(
-        [np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1
-    )  # inverse transpose, if not singular
-    mirrored = np.asarray((x * cofactors[..., 0]).sum(axis=-1) < 0.0)
-    if not cofactors.any():
-        triangles = triangles[:0]
-    turned = mirrored[triangles[:, 0]] if mirrored.ndim else np.broadcast_to(mirrored, len(triangles))
-    triangles = np.where(turned[:, None], triangles[:, [0, 2, 1]], triangles)
-    with np.errstate(over="ignore", invalid="ignore"):  # the scene refuses what is not finite
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
+        linear = matrix[..., :3, :3]
+        x, y, z = (linear[..., i] for i in range(3))
+        cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)  # inverse transpose by det
+        mirrored = np.asarray((x * cofactors[..., 0]).sum(axis=-1) < 0.0)
         placed = np.einsum("...ij,...j->...i", linear, positions.astype(np.float64)) + matrix[..., :3, 3]
         vertices = placed.astype(np.float32)
-        if normals is None:
-            return vertices, None, triangles
-        around = np.einsum("...ij,...j->...i", cofactors, normals.astype(np.float64))
-        around *= np.where(mirrored, -1.0, 1.0)[..., None]
-        length = np.linalg.norm(around, axis=1, keepdims=True)
-        around /= np.where(length > 0.0, length, 1.0)
-    return vertices, around.astype(np.float32), triangles
+        around = None
+        if normals is not None:
+            turned = np.einsum("...ij,...j->...i", cofactors, normals.astype(np.float64))
+            length = np.linalg.norm(turned, axis=1, keepdims=True) * np.where(mirrored, -1.0, 1.0)[..., None]
+            around = (turned / np.where(length == 0.0, 1.0, length)).astype(np.float32)
+    if not cofactors.any():
+        triangles = triangles[:0]
+    flips = mirrored[triangles[:, 0]] if mirrored.ndim else np.broadcast_to(mirrored, len(triangles))
+    return vertices, around, np.where(flips[:, None], triangles[:, [0, 2, 1]], triangles)
 
 
 def _with_alpha(colors: NDArray[Any]) -> NDArray[np.float32]:

@@ -35,6 +35,8 @@ def pick(items: Sequence[Any], index: Any, what: str) -> Any:
         raise ValueError(f"{what} is {index!r}: expected the number of one in the file")
     if not 0 <= index < len(items):
         raise ValueError(f"{what} is number {index}, and there are {len(items)}")
+    if items[index] is None:
+        raise ValueError(f"{what} is number {index}, which is null: expected an object")
     return items[index]
 
 
