@@ -60,7 +60,8 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
     if size is not None:
         _check_size(size)
     try:
-        return _scene(Document(file), size)
+        with np.errstate(all="ignore"):  # what is not finite is refused when all is there
+            return _scene(Document(file), size)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
 
@@ -149,21 +150,20 @@ def _pinhole(
     far: float = math.inf,
 ) -> Camera:
     """tangent: of half the vertical field of view."""
-    with np.errstate(invalid="ignore", divide="ignore"):  # the scene refuses what is degenerate
-        view = view / np.linalg.norm(view)
-        right = np.cross(view, up)
-        right /= np.linalg.norm(right)
-        axes = np.stack([right, np.cross(view, right), view])
-        across = tangent * width / height
-        return Camera(
-            int(width),
-            int(height),
-            origin.astype(np.float32),
-            axes.astype(np.float32),
-            (-across, across, -tangent, tangent),
-            near=near,
-            far=far,
-        )
+    view = view / np.linalg.norm(view)
+    right = np.cross(view, up)
+    right /= np.linalg.norm(right)
+    axes = np.stack([right, np.cross(view, right), view])
+    across = tangent * width / height
+    return Camera(
+        int(width),
+        int(height),
+        origin.astype(np.float32),
+        axes.astype(np.float32),
+        (-across, across, -tangent, tangent),
+        near=near,
+        far=far,
+    )
 
 
 def _lights(document: Document, nodes: list[Placed]) -> Lights:

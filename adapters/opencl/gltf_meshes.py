@@ -214,18 +214,17 @@ def _transformed(
 
     Where it mirrors, triangles turn round; where it leaves no area, there are none: so nodes are hidden.
     """
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
-        linear = matrix[..., :3, :3]
-        x, y, z = (linear[..., i] for i in range(3))
-        cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)  # inverse transpose by det
-        mirrored = np.asarray((x * cofactors[..., 0]).sum(axis=-1) < 0.0)
-        placed = np.einsum("...ij,...j->...i", linear, positions.astype(np.float64)) + matrix[..., :3, 3]
-        vertices = placed.astype(np.float32)
-        around = None
-        if normals is not None:
-            turned = np.einsum("...ij,...j->...i", cofactors, normals.astype(np.float64))
-            length = np.linalg.norm(turned, axis=1, keepdims=True) * np.where(mirrored, -1.0, 1.0)[..., None]
-            around = (turned / np.where(length == 0.0, 1.0, length)).astype(np.float32)
+    linear = matrix[..., :3, :3]
+    x, y, z = (linear[..., i] for i in range(3))
+    cofactors = np.stack([np.cross(y, z), np.cross(z, x), np.cross(x, y)], axis=-1)  # inverse transpose by det
+    mirrored = np.asarray((x * cofactors[..., 0]).sum(axis=-1) < 0.0)
+    placed = np.einsum("...ij,...j->...i", linear, positions.astype(np.float64)) + matrix[..., :3, 3]
+    vertices = placed.astype(np.float32)
+    around = None
+    if normals is not None:
+        turned = np.einsum("...ij,...j->...i", cofactors, normals.astype(np.float64))
+        length = np.linalg.norm(turned, axis=1, keepdims=True) * np.where(mirrored, -1.0, 1.0)[..., None]
+        around = (turned / np.where(length == 0.0, 1.0, length)).astype(np.float32)
     if not cofactors.any():
         triangles = triangles[:0]
     flips = mirrored[triangles[:, 0]] if mirrored.ndim else np.broadcast_to(mirrored, len(triangles))

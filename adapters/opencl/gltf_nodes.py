@@ -46,8 +46,7 @@ def placed_nodes(document: Document) -> list[Placed]:
         if index in seen:
             raise ValueError(f"{name} is reached twice: expected a tree, where a node has one parent and no cycle")
         seen.add(index)
-        with np.errstate(over="ignore", invalid="ignore"):  # the scene refuses what is not finite
-            matrix = parent @ _local(node, name)
+        matrix = parent @ _local(node, name)
         found.append(Placed(index, node, matrix, name))
         waiting.extend((child, matrix) for child in reversed(node.children or []))
     return found

@@ -49,9 +49,8 @@ def light_table(scene: Scene) -> Lights:
             texture = -1 if mesh.radiance_texture is None else mesh.radiance_texture
             of_triangle[start + kept] = number + np.arange(len(kept))
             number += len(kept)
-            for i in kept:
-                rows.append(((*mesh.radiance, 0.0), (0.0, 0.0, 0.0, float(mesh.emits_both_sides))))
-                ints.append((_TRIANGLE, start + int(i), 0, texture))
+            rows += [((*mesh.radiance, 0.0), (0.0, 0.0, 0.0, float(mesh.emits_both_sides)))] * len(kept)
+            ints += [(_TRIANGLE, triangle, 0, texture) for triangle in (start + kept).tolist()]
             power = math.pi * (1 + mesh.emits_both_sides) * areas[kept] * _luminance(mesh.radiance)
             powers.extend(power * _brightness(scene, mesh, kept))
         start += count

@@ -102,7 +102,7 @@ def _camera(camera: Camera) -> dict[str, Any]:
 
 
 def _materials(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
-    used = sorted({shape.material for shape in (*scene.meshes, *scene.spheres)})
+    used = sorted({mesh.material for mesh in scene.meshes} | {sphere.material for sphere in scene.spheres})
     kinds = sorted({scene.materials[i].kind for i in used}, key=list(_KIND_MACROS).index)
     for code, (kind, macro) in enumerate(_KIND_MACROS.items()):
         macros[macro] = code
