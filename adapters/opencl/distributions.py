@@ -13,8 +13,8 @@ def alias_table(weights: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDAr
     threshold[i], else take alias[i] (Walker 1977, doi:10.1145/355744.355749).
 
     What light entries lack and heavy ones have too much is summed in order; each light entry takes from the heavy one
-    that its place in the sum falls to, and so does a heavy one that has given too much from the next (Huebschle-Schneider
-    and Sanders 2019, doi:10.4230/LIPIcs.ESA.2019.59, section 4).
+    that its place in the sum falls to, and so does a heavy one that has given too much from the next
+    (Huebschle-Schneider and Sanders 2019, doi:10.4230/LIPIcs.ESA.2019.59, section 4).
 
     Raises ValueError for weights that are negative or not finite, and where none is above 0.
     """
@@ -29,7 +29,7 @@ def alias_table(weights: NDArray[np.float64]) -> tuple[NDArray[np.float32], NDAr
         before = np.concatenate([[0.0], lacking[:-1]])
         taken = np.minimum(np.searchsorted(spare, before, side="right"), len(heavy) - 1)
         thresholds[light], aliases[light] = scaled[light], heavy[taken]
-        last = np.searchsorted(lacking, spare[:-1], side="right")  # the light entry with which each heavy one runs out
+        last = np.searchsorted(lacking, spare[:-1], side="left")  # the light entry with which each heavy one runs out
         short = np.flatnonzero(last < len(light))
         thresholds[heavy[short]] = np.clip(1.0 - (lacking[last[short]] - spare[short]), 0.0, 1.0)
         aliases[heavy[short]] = heavy[short + 1]
