@@ -16,7 +16,7 @@ What is supported:
 Photometric units are taken as radiometric ones: a candela as 1 W/sr, a lux as 1 W/m^2, a nit as 1 W/(sr m^2).
 
 A file without a camera is seen whole, from the front, the right and above. One without light is lit by an environment
-of radiance 1 and a directional light of irradiance 1 from the upper left of the camera.
+of radiance 0.5 and a directional light of irradiance 2 from the upper left of the camera.
 
 What else a file has is refused where it says that it cannot be read without, and left out with a warning otherwise.
 """
@@ -80,9 +80,9 @@ def _scene(document: Document, size: tuple[int, int] | None) -> Scene:
     camera = _camera(document, nodes, found.meshes, size)
     lights, environment = _lights(document, nodes), None
     if not lights and not found.lit:
-        environment = Environment(np.ones((1, 1, 3), np.float32))
+        environment = Environment(np.full((1, 1, 3), 0.5, np.float32))
         right, down, view = (float(v) for v in _KEY @ camera.axes.astype(np.float64))
-        lights = (DirectionalLight((right, down, view), (1.0, 1.0, 1.0)),)
+        lights = (DirectionalLight((right, down, view), (2.0, 2.0, 2.0)),)
     return Scene(
         camera=camera,
         materials=tuple(materials.materials),

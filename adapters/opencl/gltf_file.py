@@ -66,14 +66,14 @@ class Document:
             raise ValueError(f"its JSON does not follow the schema of glTF 2.0 ({error}); export it anew") from error
         self._buffers: dict[int, bytes] = {}
         self._said: set[str] = set()
-        for name in self.model.extensionsRequired:
+        for name in self.model.extensionsRequired or []:
             if name not in _SUPPORTED:
                 remedy = _REMEDIES.get(str(name), "export it without that")
                 raise ValueError(
                     f"it requires the extension {name}, which is not supported; {remedy} "
                     f"(supported are {', '.join(_SUPPORTED)})"
                 )
-        for name in self.model.extensionsUsed:
+        for name in self.model.extensionsUsed or []:
             if name not in _SUPPORTED:
                 self.warn(f"the extension {name} is not supported and left out")
 

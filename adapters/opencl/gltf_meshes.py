@@ -159,10 +159,11 @@ class Meshes:
         """The matrix of each vertex, (v, 4, 4), by the pose that the joints' nodes have (section 3.7.3)."""
         model, what = self.document.model, f"the skin of {node.name}"
         skin = pick(model.skins, node.node.skin, what)
-        for joint in skin.joints:
+        joints_of = skin.joints or []
+        for joint in joints_of:
             if joint not in world:
                 raise ValueError(f"{what} has the joint {joint!r}: expected the number of a node in the scene")
-        matrices = np.array([world[joint] for joint in skin.joints]).reshape(-1, 4, 4)
+        matrices = np.array([world[joint] for joint in joints_of]).reshape(-1, 4, 4)
         if skin.inverseBindMatrices is not None:
             inverse = self.document.accessor(skin.inverseBindMatrices, f"the inverse bind matrices of {what}", ["MAT4"])
             if len(inverse) < len(matrices):
