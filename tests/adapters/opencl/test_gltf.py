@@ -945,7 +945,7 @@ def test_lights(file: File) -> None:
 def test_default_light(file: File) -> None:
     file.mesh()
     scene = file.read()
-    np.testing.assert_array_equal(scene.environment.radiance, np.ones((1, 1, 3)))
+    np.testing.assert_array_equal(scene.environment.radiance, np.full((1, 1, 3), 0.5))
     (key,) = scene.lights
     assert key.irradiance == (2.0, 2.0, 2.0)
     right, down, along = scene.camera.axes @ np.array(key.direction)
