@@ -18,7 +18,7 @@ demo: setup
 
 # `pytest`, not `python -m pytest`: the latter would put the checkout on sys.path.
 test: setup
-	$(BIN)/pytest $(PYTEST_ARGS)
+	$(BIN)/pytest --numprocesses auto --maxprocesses 4 --dist loadfile $(PYTEST_ARGS)
 
 test-long: setup
 	$(BIN)/pytest -m long $(PYTEST_ARGS)
@@ -30,6 +30,7 @@ bench: setup
 	$(BIN)/python benchmarks/samplers.py $(BENCH_ARGS)
 	$(BIN)/python benchmarks/overhead.py $(BENCH_ARGS)
 	$(BIN)/python benchmarks/mitsuba_throughput.py $(BENCH_ARGS)
+	$(BIN)/python benchmarks/opencl.py $(BENCH_ARGS)
 
 lint: setup
 	$(BIN)/pre-commit run --all-files

@@ -1,6 +1,6 @@
 """The OpenCL tracer's speed: against Mitsuba's, what leaving out saves, and where a render's time goes.
 
-    python benchmarks/opencl.py [--size 320x240] [--spp 16] [--rounds 9] [--device NAME] [-o DIR]
+    python benchmarks/opencl.py [--scenes ...] [--size 320x240] [--spp 16] [--rounds 9] [--device NAME] [-o DIR]
 
 Runs are interleaved, for the machine may be shared and its clock may drift: in each round every contender traces the
 same number of paths, in an order that rotates, and a ratio is that of one round. The first, uncounted round compiles.
@@ -27,7 +27,8 @@ from pmc_sampler.adapters.opencl import OpenCLRenderer, program
 from pmc_sampler import Budget, Config, Sampler, scenes
 from pmc_sampler.cli.arguments import size
 
-BOXES = ("cornell-box", "cornell-box-mirrors")
+MESH = "mesh"  # not built in: see mesh_scene
+SCENES = ("cornell-box", "cornell-box-mirrors", "materials", "thin-lens", MESH)
 TRACERS = ("OpenCL, Sobol", "OpenCL, independent", "Mitsuba by our adapter, Sobol", "mi.render, independent")
 MATERIALS = ("DIFFUSE", "DIELECTRIC", "ROUGHDIELECTRIC", "CONDUCTOR", "ROUGHCONDUCTOR", "PLASTIC", "METALLIC_ROUGHNESS")
 # What a kernel would hold if it were not made for its scene.
@@ -42,10 +43,8 @@ def main(arguments: list[str] | None = None) -> int:
     options = _options(arguments)
     parts = [_head(options)]
     with tempfile.TemporaryDirectory() as folder:
-        mesh = mesh_scene(Path(folder))
-        parts.append(_against_mitsuba(options, {**{name: name for name in (*BOXES, "materials")}, "mesh": mesh}))
-        parts.append(_savings(options, {"cornell-box": "cornell-box", "materials": "materials", "mesh": mesh}))
-        parts.append(_split(options, {"cornell-box": "cornell-box", "mesh": mesh}))
+        files = {name: mesh_scene(Path(folder)) if name == MESH else name for name in options.scenes}
+        parts += [part(options, files) for part in (_against_mitsuba, _savings, _split)]
     text = "\n\n".join(parts) + "\n"
     print(text)
     if options.output:
@@ -239,6 +238,7 @@ def _head(options: argparse.Namespace) -> str:
 
 def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    parser.add_argument("--scenes", nargs="+", choices=SCENES, default=SCENES, metavar="NAME")
     parser.add_argument("--size", type=size, default=(320, 240), metavar="WxH")
     parser.add_argument("--spp", type=int, default=16)
     parser.add_argument("--rounds", type=int, default=9)

@@ -11,9 +11,9 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from pmc_sampler.eval import images
+from pmc_sampler.eval import benchmark, images
 
-pytestmark = pytest.mark.needs("mitsuba", "OpenImageIO", "skimage", "flip_evaluator", "matplotlib")
+pytestmark = pytest.mark.needs("mitsuba", "pyopencl", "OpenImageIO", "skimage", "flip_evaluator", "matplotlib")
 
 
 @pytest.fixture
@@ -72,7 +72,7 @@ def test_the_benchmark_of_samplers(
     assert "--scenes diffuse --size 80x64 --spp 4 --seeds 2 --reference-spp 32`" in page
     assert "mitsuba" in page
     rows = (tmp_path / "out" / "samplers.jsonl").read_text()
-    assert rows.count("\n") == 10
+    assert rows.count("\n") == 2 * len(benchmark.METHODS)
     capsys.readouterr()
     assert main(words) == 0
     assert "tvi error" not in capsys.readouterr().err  # nothing ran
@@ -87,3 +87,17 @@ def test_the_benchmark_of_overhead(script: Callable[[str], ModuleType], tmp_path
     assert "| 64x64 | default |" in page
     assert "| 64x64 | uniform |" in page
     assert "bytes a pixel" in page
+
+
+def test_the_benchmark_of_the_opencl_tracer(script: Callable[[str], ModuleType], tmp_path: Path) -> None:
+    """On the scene that it makes itself, which has the hundred thousand triangles that it says."""
+    module = script("benchmarks/opencl.py")
+    words = ["-o", str(tmp_path), "--scenes", "mesh", "--size", "32x24", "--spp", "1", "--rounds", "1"]
+    assert module.main(words) == 0
+    page = (tmp_path / "opencl.md").read_text()
+    assert page.count("| `mesh` |") == 3
+    assert "32x24 pixels, 1 samples a pixel, 1 rounds" in page
+    from pmc_sampler.adapters.opencl.load import scene_of
+
+    meshes = scene_of(module.mesh_scene(tmp_path)).meshes
+    assert max(len(mesh.triangles) for mesh in meshes) == 131_072
