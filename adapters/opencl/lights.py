@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from .distributions import alias_table
-from .scene import Environment, Mesh, PointLight, Scene
+from .scene import Environment, Mesh, PointLight, Scene, has_area
 
 __all__ = ["Lights", "light_table"]
 
@@ -45,7 +45,7 @@ def light_table(scene: Scene) -> Lights:
         if count and mesh.radiance is not None and max(mesh.radiance) > 0.0:
             corners = mesh.vertices.astype(np.float64)[mesh.triangles]
             areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-            kept = np.flatnonzero(areas > 0.0)  # a light without area sends out nothing
+            kept = np.flatnonzero(has_area(mesh))  # a light without area sends out nothing
             texture = -1 if mesh.radiance_texture is None else mesh.radiance_texture
             of_triangle[start + kept] = number + np.arange(len(kept))
             number += len(kept)
@@ -157,9 +157,12 @@ def _environment(environment: Environment, macros: dict[str, Any], arrays: dict[
     edges = np.cos(math.pi * np.arange(height) / (height - 1))
     solid = (edges[:-1] - edges[1:])[:, None] * (2.0 * math.pi / width)
     mean = float((cells * solid).sum() / (4.0 * math.pi))
-    weights = ((cells + 1e-3 * mean) * solid).ravel()  # no cell that interpolation lights may be left out
-    thresholds, aliases = alias_table(weights)
+    weights = (cells + 1e-3 * mean) * solid  # no cell that interpolation lights may be left out
+    tables = [alias_table(row) for row in weights]
+    bands = alias_table(weights.sum(axis=1))
+    thresholds = np.concatenate([table[0] for table in tables])
     arrays["environment_map"] = nodes
-    arrays["environment_cells"] = np.column_stack([weights / weights.sum(), thresholds]).astype(np.float32)
-    arrays["environment_aliases"] = aliases
+    arrays["environment_cells"] = np.column_stack([(weights / weights.sum()).ravel(), thresholds]).astype(np.float32)
+    arrays["environment_aliases"] = np.concatenate([table[1] for table in tables])
+    arrays["environment_bands"], arrays["environment_band_aliases"] = bands
     return mean

@@ -62,7 +62,7 @@ def guarded(device: Any, size: int) -> Iterator[None]:
             raise
         raise MemoryError(
             f"the OpenCL device {label(device)} is out of memory: {_mib(size)} were asked for, and it has "
-            f"{_mib(device.global_mem_size)} in all"
+            f"{_mib(device.global_mem_size)} in all; end what else uses it, or take another device"
         ) from error
 
 

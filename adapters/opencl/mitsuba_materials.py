@@ -174,6 +174,9 @@ def _swaps_opacity() -> bool:
 
 def _normalmap(node: Node, params: Any, path: str) -> Read:
     nested = _nested(node, ["normalmap", "flip_invalid_normals", "use_shadowing_function"])
+    for name in ("flip_invalid_normals", "use_shadowing_function"):
+        if node.get(name, True):
+            raise ValueError(f"{node.where} has {name!r} on, as by default, which is not supported: set it to false")
     material, images = _read(nested, params, f"{path}nested_bsdf.")
     if "normal_texture" in images:
         raise ValueError(f"{node.where} is around another normalmap; supported is one")

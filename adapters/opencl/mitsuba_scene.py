@@ -4,7 +4,7 @@ Mitsuba's own parser and loaders do the reading, in its variant `scalar_rgb`, wh
 
 - shapes `rectangle`, `cube`, `sphere`, `disk` (as 512 triangles), `ply`, `obj`, `serialized`; textures on meshes only
 - BSDFs `diffuse`, `dielectric`, `roughdielectric`, `conductor`, `roughconductor`, `plastic`, `twosided` around one,
-  `mask` and `normalmap` (without Mitsuba's shadowing); rough ones with the distribution `ggx`
+  `mask` and `normalmap` (its flags off); rough ones with the distribution `ggx`
 - textures `bitmap` and `checkerboard`, for diffuse reflectance, opacity, normals and an area light's radiance
 - emitters `area`, `point`, `directional`, `constant`, `envmap`; sensors `perspective` and `thinlens`; film `hdrfilm`
 - integrators `path`, and `pmc` around it

@@ -26,6 +26,16 @@ _LARGEST = 1 << 22
 _GROUP = 64
 
 
+def next_piece(count: int, seconds: float, piece: int, largest: int) -> int:
+    """How many paths the next call of the kernel traces, after one of `count` paths that took `seconds`.
+
+    As many as take `_SECONDS`, and at most twice as many as now: paths through glass may be much slower than those
+    before them. A path's value does not depend on it.
+    """
+    wanted = count / max(seconds, 1e-6) * _SECONDS
+    return int(np.clip(wanted, _GROUP, min(2 * piece, largest)))
+
+
 class OpenCLRenderer:
     """A path tracer on an OpenCL device: called with a `Batch`, it returns the radiance of each sample.
 
@@ -85,12 +95,14 @@ class OpenCLRenderer:
         self._queue = cl.CommandQueue(self._context)
         self._kernel = program.build(self._context, compiled.macros)
         self._arrays = memory.upload(self._context, compiled.arrays)
-        for place, array in enumerate(self._arrays, start=6):
+        for place, array in enumerate(self._arrays, start=5):
             self._kernel.set_arg(place, array)
+        limit = self._kernel.get_work_group_info(cl.kernel_work_group_info.WORK_GROUP_SIZE, self._device)
+        self._group = min(_GROUP, limit)
         self._lock = threading.Lock()
         self._capacity = 0
         self._buffers: tuple[Any, ...] = ()
-        self._rate = 0.0  # paths a second, of the last piece
+        self._piece, self._largest = _FIRST, _LARGEST
         self.seconds = {"transfers": 0.0, "kernel": 0.0}
 
     @classmethod
@@ -139,17 +151,23 @@ class OpenCLRenderer:
         with self._lock:
             done = 0
             while done < len(out):
-                count = min(self._piece(), len(out) - done)
-                self._trace(tuple(array[done : done + count] for array in inputs), out[done : done + count])
+                count = min(self._piece, len(out) - done)
+                try:
+                    seconds = self._trace(
+                        tuple(array[done : done + count] for array in inputs), out[done : done + count]
+                    )
+                except MemoryError:
+                    if count <= _FIRST:
+                        raise
+                    self._largest = count // 2  # for good: what else is on the device may stay there
+                    self._piece = min(self._piece, self._largest)
+                    continue
+                self._piece = next_piece(count, seconds, self._piece, self._largest)
                 done += count
         return out
 
-    def _piece(self) -> int:
-        """How many paths the next call of the kernel traces. A path's value does not depend on it."""
-        paths = int(self._rate * _SECONDS) if self._rate else _FIRST
-        return int(np.clip(paths, _GROUP, min(_LARGEST, self._device.max_mem_alloc_size // 16)))
-
-    def _trace(self, inputs: tuple[NDArray[Any], ...], out: NDArray[np.float32]) -> None:
+    def _trace(self, inputs: tuple[NDArray[Any], ...], out: NDArray[np.float32]) -> float:
+        """Seconds of the kernel."""
         count = len(out)
         with memory.guarded(self._device, count * 28):
             buffers = self._room(count)
@@ -158,21 +176,23 @@ class OpenCLRenderer:
                 cl.enqueue_copy(self._queue, buffer, array, is_blocking=False)
             self._queue.finish()
             copied = time.perf_counter()
-            for place, value in enumerate((np.uint32(0), np.uint32(count), *buffers)):
+            for place, value in enumerate((np.uint32(count), *buffers)):
                 self._kernel.set_arg(place, value)
-            cl.enqueue_nd_range_kernel(self._queue, self._kernel, (-(-count // _GROUP) * _GROUP,), (_GROUP,))
+            cl.enqueue_nd_range_kernel(
+                self._queue, self._kernel, (-(-count // self._group) * self._group,), (self._group,)
+            )
             self._queue.finish()
             traced = time.perf_counter()
             cl.enqueue_copy(self._queue, out, buffers[3])
             ended = time.perf_counter()
-        self._rate = count / max(traced - copied, 1e-6)
         self.seconds["kernel"] += traced - copied
         self.seconds["transfers"] += ended - began - (traced - copied)
+        return traced - copied
 
     def _room(self, count: int) -> tuple[Any, ...]:
         """Buffers for positions, scrambles, indices and radiance of `count` samples, kept for later batches."""
         if count > self._capacity:
-            self._buffers = ()  # first freed, then asked for
+            self._buffers, self._capacity = (), 0  # first freed, then asked for
             flags = cl.mem_flags
             self._buffers = (
                 *(cl.Buffer(self._context, flags.READ_ONLY, count * size) for size in (8, 4, 4)),

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import _bvh
+from .checks import WRAPS
 from .lights import Lights, light_table
-from .scene import Camera, Material, Mesh, Scene
+from .scene import Camera, Material, Mesh, Scene, has_area
 
 __all__ = ["SAMPLERS", "Tables", "tables"]
 
@@ -29,8 +30,8 @@ _KIND_MACROS = {
     "metallic-roughness": "METALLIC_ROUGHNESS",
 }
 _TWO_SIDED, _CUT_OUT, _VERTEX_COLORS, _NONLINEAR, _THIN = 1, 2, 4, 8, 16
-_LAYERS = 64  # of cut-out surfaces that a shadow ray passes
-_WRAPS = {"repeat": 0, "mirror": 1, "clamp": 2}
+_SEGMENTS = 1 << 16  # of a path without a limit: where nothing absorbs, Russian roulette ends it long before
+_LAYERS = 64  # of cut-out surfaces that a ray passes beyond those
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,10 @@ def tables(scene: Scene, sampler: str = "sobol", hierarchy: bool | None = None) 
     lights = light_table(scene)
     macros: dict[str, Any] = {"INDEPENDENT": int(sampler == "independent")}
     arrays: dict[str, NDArray[Any]] = {}
-    macros.update(_camera(scene.camera))
-    macros["MAX_DEPTH"] = scene.max_depth if scene.max_depth >= 0 else "0x7fffffff"
+    arrays["camera"] = _camera(scene.camera)
+    macros["THIN_LENS"] = int(scene.camera.aperture_radius > 0.0)
+    macros["MAX_DEPTH"] = scene.max_depth if scene.max_depth >= 0 else _SEGMENTS
+    macros["MAX_SEGMENTS"] = min(macros["MAX_DEPTH"], _SEGMENTS) + _LAYERS
     macros["RR_DEPTH"] = scene.rr_depth
     macros["HIDE_EMITTERS"] = int(scene.hide_emitters)
     _materials(scene, macros, arrays)
@@ -80,25 +83,15 @@ def _text(value: Any) -> str:
     return str(value)
 
 
-def _camera(camera: Camera) -> dict[str, Any]:
+def _camera(camera: Camera) -> NDArray[np.float32]:
+    """The kernel's table of the camera, (6, 4); it is no macro, so that a film's size needs no other program."""
     left, right, top, bottom = camera.window
-    lens = camera.aperture_radius > 0.0
-    macros = {
-        "CAMERA_LEFT": left,
-        "CAMERA_TOP": top,
-        "CAMERA_DX": (right - left) / camera.width,
-        "CAMERA_DY": (bottom - top) / camera.height,
-        "CAMERA_ORIGIN": camera.origin,
-        "CAMERA_X": camera.axes[0],
-        "CAMERA_Y": camera.axes[1],
-        "CAMERA_Z": camera.axes[2],
-        "CAMERA_NEAR": float(camera.near),
-        "CAMERA_RANGE": float(camera.far - camera.near),
-        "THIN_LENS": int(lens),
-    }
-    if lens:
-        macros.update(APERTURE_RADIUS=float(camera.aperture_radius), FOCUS_DISTANCE=float(camera.focus_distance))
-    return macros
+    rows = np.zeros((6, 4), np.float32)
+    rows[0, :3] = camera.origin
+    rows[1:4, :3] = camera.axes
+    rows[4] = left, top, (right - left) / camera.width, (bottom - top) / camera.height
+    rows[5] = camera.near, camera.far - camera.near, camera.aperture_radius, camera.focus_distance
+    return rows
 
 
 def _materials(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
@@ -172,10 +165,16 @@ def _triangles(
     ints[:, :3] = np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=False)])
     ints[:, 3] = np.repeat([mesh.material for mesh in meshes], [len(mesh.triangles) for mesh in meshes])
     ints[:, 4] = lights.of_triangle
-    corners = vertices[ints[:, :3]]
-    order, nodes = _arranged(corners.min(axis=1), corners.max(axis=1), hierarchy)
+    # Rays hit a triangle without area by rounding, and find no normal there.
+    kept = np.flatnonzero(np.concatenate([has_area(mesh) for mesh in meshes])).astype(np.int32)
+    corners = vertices[ints[kept, :3]]
+    if len(kept):
+        order, nodes = _arranged(corners.min(axis=1), corners.max(axis=1), hierarchy)
+    else:
+        order, nodes = np.full(PACKET, -1, np.int32), None
     packets = np.zeros((len(order), 3, 3), np.float32)
     packets[order >= 0] = corners[order[order >= 0]]
+    order[order >= 0] = kept[order[order >= 0]]
     arrays["triangle_packets"] = np.ascontiguousarray(packets.reshape(-1, PACKET, 9).transpose(0, 2, 1))
     arrays["triangle_order"] = order
     arrays["vertices"] = vertices
@@ -188,7 +187,7 @@ def _triangles(
     if any(mesh.normals is not None for mesh in meshes):
         macros["NORMALS"] = 1
         arrays["normals"] = np.concatenate([_or_zero(mesh.normals, len(mesh.vertices), 3) for mesh in meshes])
-    if any(mesh.uvs is not None and _textures_of(scene, mesh) for mesh in meshes):
+    if any(_textures_of(scene, mesh) for mesh in meshes):
         macros["UVS"] = 1
         arrays["uvs"] = np.concatenate([_or_zero(mesh.uvs, len(mesh.vertices), 2) for mesh in meshes])
     if any(mesh.colors is not None and scene.materials[mesh.material].vertex_colors for mesh in meshes):
@@ -258,13 +257,17 @@ def _textures(scene: Scene, macros: dict[str, Any], arrays: dict[str, NDArray[An
     macros["NORMAL_MAPS"] = int(any(scene.materials[mesh.material].normal_texture is not None for mesh in scene.meshes))
     if not used:
         return
-    starts = np.cumsum([0, *(texture.pixels.shape[0] * texture.pixels.shape[1] for texture in scene.textures)])
+    # Those that nothing uses keep their number and get no texels.
+    parts = [
+        t.pixels.reshape(-1, 4) if i in used else t.pixels.reshape(-1, 4)[:0] for i, t in enumerate(scene.textures)
+    ]
+    starts = np.cumsum([0, *(len(part) for part in parts)])
     if starts[-1] >= 2**31:
         raise ValueError(f"the textures have {starts[-1]} texels together: expected fewer than {2**31}")
-    arrays["texels"] = np.concatenate([texture.pixels.reshape(-1, 4) for texture in scene.textures]).astype(np.float32)
+    arrays["texels"] = np.concatenate(parts).astype(np.float32, copy=False)
     arrays["textures"] = np.array(
         [
-            (start, t.pixels.shape[1], t.pixels.shape[0], _WRAPS[t.wrap] + 4 * t.nearest)
+            (start, t.pixels.shape[1], t.pixels.shape[0], WRAPS.index(t.wrap) + 4 * t.nearest)
             for t, start in zip(scene.textures, starts, strict=False)
         ],
         np.int32,

@@ -11,8 +11,11 @@ typedef struct {
     global const float* thresholds;  // of the alias table
 #if ENVIRONMENT == 2
     global const float4* map;         // ENVIRONMENT_HEIGHT rows of ENVIRONMENT_WIDTH + 1 nodes: radiance
-    global const float2* cells;       // ENVIRONMENT_HEIGHT - 1 rows of ENVIRONMENT_WIDTH: probability, alias threshold
+    // A row of cells is drawn, then a cell of it: a path has 32 bits for each, and a large map has more cells than numbers.
+    global const float2* cells;       // ENVIRONMENT_HEIGHT - 1 rows of ENVIRONMENT_WIDTH: probability, alias threshold in the row
     global const int* cell_aliases;
+    global const float* bands;        // alias thresholds of the rows
+    global const int* band_aliases;
 #endif
 } Lights;
 
@@ -41,7 +44,7 @@ INLINE float3 environment(const Lights* lights, float3 d, float* density) {
     float x = place.x - 0.5f / ENVIRONMENT_WIDTH;
     x = (x - floor(x)) * ENVIRONMENT_WIDTH;
     const float y = place.y * (ENVIRONMENT_HEIGHT - 1);
-    const int j = smaller((int)x, ENVIRONMENT_WIDTH - 1), i = smaller((int)y, ENVIRONMENT_HEIGHT - 2);
+    const int j = larger(0, smaller((int)x, ENVIRONMENT_WIDTH - 1)), i = larger(0, smaller((int)y, ENVIRONMENT_HEIGHT - 2));
     global const float4* node = lights->map + i * (ENVIRONMENT_WIDTH + 1) + j;
     const float4 upper = mix(node[0], node[1], x - j), lower = mix(node[ENVIRONMENT_WIDTH + 1], node[ENVIRONMENT_WIDTH + 2], x - j);
     const float sine = root(larger(1.0f - square(inner(d, (float3)(ENVIRONMENT_Y))), 1e-12f));
@@ -70,11 +73,13 @@ INLINE float area_density(const Lights* lights, int light, float density) { retu
 // Of a sphere, from outside: uniform in the cone that it fills; 1 - cos_max without cancellation.
 INLINE float cone(float ratio2) { return ratio2 / (1.0f + root(larger(0.0f, 1.0f - ratio2))); }
 
-INLINE Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, float u, float v, float choice) {
+INLINE Connection connect(const Lights* lights, const Surfaces* surfaces, float3 p, uint u_word, uint v_word, uint choice) {
     Connection c;
-    const float scaled = choice * LIGHTS;
-    int light = smaller((int)scaled, LIGHTS - 1);
-    if (scaled - light >= lights->thresholds[light]) light = lights->ints[light * LIGHT_INTS + LIGHT_ALIAS];
+    int light;
+    float rest;
+    split(choice, LIGHTS, &light, &rest);
+    if (rest >= lights->thresholds[light]) light = lights->ints[light * LIGHT_INTS + LIGHT_ALIAS];
+    const float u = (float)(u_word >> 8) * 0x1p-24f, v = (float)(v_word >> 8) * 0x1p-24f;
     const float4 radiance = lights->rows[light * LIGHT_ROWS], place = lights->rows[light * LIGHT_ROWS + LIGHT_PLACE];
     const int prim = lights->ints[light * LIGHT_INTS + LIGHT_PRIM];
     c.radiance = radiance.xyz / radiance.w;
@@ -92,7 +97,12 @@ INLINE Connection connect(const Lights* lights, const Surfaces* surfaces, float3
         const bool seen = (place.w != 0.0f ? magnitude(cosine) : cosine) > 0.0f && d2 > 0.0f;
         const float density = d2 * c.distance * 2.0f / magnitude(cosine);  // |n| = 2 area cancels
         c.density = seen ? area_density(lights, light, density) : 0.0f;
-        const float3 shone = emitted(lights, surfaces, light, triangle_uv(surfaces, prim, 1.0f - b1 - b2, b1, b2));
+        const float2 uv = triangle_uv(surfaces, prim, 1.0f - b1 - b2, b1, b2);
+        float3 shone = emitted(lights, surfaces, light, uv);
+#if ALPHA_SHADOWS
+        shone *= opacity_of(surfaces, surfaces->triangles[prim * TRIANGLE_INTS + TRIANGLE_MATERIAL], uv,
+                            triangle_color(surfaces, prim, 1.0f - b1 - b2, b1, b2));
+#endif
         c.radiance = seen ? shone / c.density : (float3)(0.0f);
         break;
     }
@@ -148,18 +158,27 @@ INLINE Connection connect(const Lights* lights, const Surfaces* surfaces, float3
     }
 #elif ENVIRONMENT == 2
     case LIGHT_ENVIRONMENT: {
-        const float scaled_u = u * (ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1));
-        int cell = smaller((int)scaled_u, ENVIRONMENT_WIDTH * (ENVIRONMENT_HEIGHT - 1) - 1);
-        float rest = scaled_u - cell;
-        const float threshold = lights->cells[cell].y;
-        if (rest >= threshold) {
-            rest = (rest - threshold) / (1.0f - threshold);
-            cell = lights->cell_aliases[cell];
+        int row, column;
+        float down, along;
+        split(v_word, ENVIRONMENT_HEIGHT - 1, &row, &down);
+        const float band = lights->bands[row];
+        if (down >= band) {
+            down = (down - band) / (1.0f - band);
+            row = lights->band_aliases[row];
         } else {
-            rest /= threshold;
+            down /= band;
         }
-        const float x = (cell % ENVIRONMENT_WIDTH + 0.5f + limited(rest, 0.0f, 1.0f)) / ENVIRONMENT_WIDTH;
-        const float y = (cell / ENVIRONMENT_WIDTH + v) / (ENVIRONMENT_HEIGHT - 1);
+        split(u_word, ENVIRONMENT_WIDTH, &column, &along);
+        const int drawn = row * ENVIRONMENT_WIDTH + column;
+        const float threshold = lights->cells[drawn].y;
+        if (along >= threshold) {
+            along = (along - threshold) / (1.0f - threshold);
+            column = lights->cell_aliases[drawn];
+        } else {
+            along /= threshold;
+        }
+        const float x = (column + 0.5f + limited(along, 0.0f, 1.0f)) / ENVIRONMENT_WIDTH;
+        const float y = (row + limited(down, 0.0f, 1.0f)) / (ENVIRONMENT_HEIGHT - 1);
         const float2 phi = circle(x - floor(x)), theta = circle(0.5f * y);
         const float3 l = (float3)(phi.y * theta.y, theta.x, -phi.x * theta.y);
         c.d = l.x * (float3)(ENVIRONMENT_X) + l.y * (float3)(ENVIRONMENT_Y) + l.z * (float3)(ENVIRONMENT_Z);

@@ -36,9 +36,45 @@ INLINE void tilt(Surface* s, float4 texel, float scale) {
 }
 #endif
 
-// The scattering; turns the shading frame of a two-sided surface to where the path came from. *opacity: the share of paths that
-// the surface is there for.
-INLINE Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi, float* opacity) {
+// Base colour and alpha. Colours above 1, as textures may hold, would let paths gain energy for ever.
+INLINE float4 color_at(const Surfaces* g, int material, float2 uv, float4 vertex_color) {
+    float4 color = g->materials[material * MATERIAL_ROWS + COLOR_OPACITY];
+    global const int* ints = g->material_ints + material * MATERIAL_INTS;
+#if TEXTURES
+    if (ints[COLOR_TEXTURE] >= 0) color *= texture(g, ints[COLOR_TEXTURE], uv);
+#endif
+#if COLORS
+    if (ints[FLAGS] & VERTEX_COLORS) color *= vertex_color;
+#endif
+#if TEXTURES || COLORS
+    color = color < 1.0f ? color : (float4)(1.0f);
+#endif
+    return color;
+}
+
+// The share of paths that a surface is there for.
+INLINE float opacity_of(const Surfaces* g, int material, float2 uv, float4 vertex_color) {
+#if HAS_CUT_OUT
+    if (g->material_ints[material * MATERIAL_INTS + FLAGS] & CUT_OUT) {
+        const float alpha = color_at(g, material, uv, vertex_color).w, cutoff = g->materials[material * MATERIAL_ROWS + PLASTIC].z;
+        return cutoff < 0.0f ? alpha : alpha < cutoff ? 0.0f : 1.0f;
+    }
+#endif
+    return 1.0f;
+}
+
+INLINE float4 vertex_color_of(const Surface* s) {
+#if COLORS
+    return s->color;
+#else
+    return (float4)(1.0f);
+#endif
+}
+
+INLINE float opacity_at(const Surfaces* g, const Surface* s) { return opacity_of(g, s->material, s->uv, vertex_color_of(s)); }
+
+// The scattering; turns the shading frame of a two-sided surface to where the path came from.
+INLINE Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi) {
     Bsdf b;
     b.rows = g->materials + s->material * MATERIAL_ROWS;
     global const int* ints = g->material_ints + s->material * MATERIAL_INTS;
@@ -48,19 +84,7 @@ INLINE Bsdf bsdf_at(const Surfaces* g, Surface* s, float3 wi, float* opacity) {
     b.kind = ints[KIND];
 #endif
     b.nonlinear = (ints[FLAGS] & NONLINEAR) != 0;
-    float4 color = b.rows[COLOR_OPACITY];
-#if TEXTURES
-    if (ints[COLOR_TEXTURE] >= 0) color *= texture(g, ints[COLOR_TEXTURE], s->uv);
-#endif
-#if COLORS
-    if (ints[FLAGS] & VERTEX_COLORS) color *= s->color;
-#endif
-    b.color = color.xyz;
-    *opacity = 1.0f;
-#if HAS_CUT_OUT
-    const float cutoff = b.rows[PLASTIC].z;
-    if (ints[FLAGS] & CUT_OUT) *opacity = cutoff < 0.0f ? color.w : color.w < cutoff ? 0.0f : 1.0f;
-#endif
+    b.color = color_at(g, s->material, s->uv, vertex_color_of(s)).xyz;
     const bool turned = (ints[FLAGS] & TWO_SIDED) && inner(wi, s->n) < 0.0f;
 #if NORMAL_MAPS
     s->smooth = s->n;

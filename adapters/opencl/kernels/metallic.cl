@@ -29,8 +29,9 @@ INLINE float coat_reflectance(const Metallic* m, float cosine, float side) {
 INLINE float3 metallic_lobes(const Metallic* m, float3 color, float cos_i, float side) {
     const float grey = (color.x + color.y + color.z) * (1.0f / 3.0f), s = schlick(cos_i);
     const float coat = coat_reflectance(m, cos_i, side), metal = grey + (1.0f - grey) * s, rest = (1.0f - m->metallic) * (1.0f - coat) * grey;
-    const float3 lobes = (float3)(coat + (metal - coat) * m->metallic, rest * (1.0f - m->transmission), rest * m->transmission);
-    return lobes / (lobes.x + lobes.y + lobes.z);  // coat > 0, for eta > 1; NaN is caught by the caller
+    const float3 lobes = (float3)(coat * (1.0f - m->metallic) + metal * m->metallic, rest * (1.0f - m->transmission), rest * m->transmission);
+    const float total = lobes.x + lobes.y + lobes.z;
+    return total > 0.0f ? lobes / total : (float3)(1.0f, 0.0f, 0.0f);  // a black metal seen straight on
 }
 
 // Value times cosine, and density; wi.z > 0 unless the material refracts.
@@ -44,7 +45,7 @@ INLINE float3 metallic_evaluate(const Metallic* m, float3 color, float3 wi, floa
         const float3 h = unit(i + o);
         const float s = schlick(inner(i, h)), coat = coat_reflectance(m, inner(i, h), side);
         const float d = ggx_d(h, m->alpha), g = ggx_g1(i, h, m->alpha);
-        const float3 metal = color + (1.0f - color) * s, f = coat + (metal - coat) * m->metallic;
+        const float3 metal = color + (1.0f - color) * s, f = coat * (1.0f - m->metallic) + metal * m->metallic;
         *density = lobes.x * d * g / (4.0f * i.z) + lobes.y * o.z * INV_PI;
         // What the coat does not reflect on the way in and out, over its mean: white stays white (Kelemen and Szirmay-Kalos 2001,
         // doi:10.2312/egs.20011013), where the specification's 1 - F at the half vector gains a tenth at grazing angles.

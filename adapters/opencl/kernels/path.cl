@@ -11,22 +11,26 @@ INLINE float power_heuristic(float a, float b) {
 #define LENS_PAIR 1u
 #define SEGMENT_PAIRS(depth) (2u + 4u * (uint)(depth))
 
-INLINE Ray camera_ray(float2 position, const Sequence* sequence) {
+// Rows of the camera's table.
+enum { CAMERA_ORIGIN, CAMERA_X, CAMERA_Y, CAMERA_Z, CAMERA_WINDOW, CAMERA_RANGE };
+
+INLINE Ray camera_ray(global const float4* camera, float2 position, const Sequence* sequence) {
     Ray ray;
-    float3 d = (float3)(CAMERA_LEFT + position.x * CAMERA_DX, CAMERA_TOP + position.y * CAMERA_DY, 1.0f);
+    const float4 window = camera[CAMERA_WINDOW], range = camera[CAMERA_RANGE];  // near, far - near, lens radius, focus distance
+    float3 d = (float3)(window.x + position.x * window.z, window.y + position.y * window.w, 1.0f);
     float3 o = (float3)(0.0f);
 #if THIN_LENS
     const float8 r = draws(sequence, LENS_PAIR);
     const float3 lens = cosine_direction(r.s0, r.s4);
-    o = (float3)(lens.x, lens.y, 0.0f) * APERTURE_RADIUS;
-    d = d - o / FOCUS_DISTANCE;
+    o = (float3)(lens.x, lens.y, 0.0f) * range.z;
+    d = d - o / range.w;
 #endif
-    o += d * CAMERA_NEAR;
+    o += d * range.x;
     const float length_ = norm(d);
-    const float3 x = (float3)(CAMERA_X), y = (float3)(CAMERA_Y), z = (float3)(CAMERA_Z);
-    ray.o = (float3)(CAMERA_ORIGIN) + o.x * x + o.y * y + o.z * z;
+    const float3 x = camera[CAMERA_X].xyz, y = camera[CAMERA_Y].xyz, z = camera[CAMERA_Z].xyz;
+    ray.o = camera[CAMERA_ORIGIN].xyz + o.x * x + o.y * y + o.z * z;
     ray.d = (d.x * x + d.y * y + d.z * z) / length_;
-    ray.tmax = CAMERA_RANGE * length_;
+    ray.tmax = range.y * length_;
     return ray;
 }
 
@@ -39,9 +43,7 @@ INLINE float visibility(const Geometry* geometry, const Surfaces* surfaces, Ray 
         const Hit hit = nearest(geometry, &ray);
         if (hit.prim == NOTHING) return share;
         Surface s = surface_at(surfaces, &hit, &ray);
-        float opacity;
-        bsdf_at(surfaces, &s, -ray.d, &opacity);
-        share *= 1.0f - opacity;
+        share *= 1.0f - opacity_at(surfaces, &s);
         if (share <= 0.0f) return 0.0f;
         const float3 from = leave(&s, ray.d);
         ray.tmax -= inner(from - ray.o, ray.d);
@@ -53,13 +55,46 @@ INLINE float visibility(const Geometry* geometry, const Surfaces* surfaces, Ray 
 #endif
 }
 
-INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geometry, const Surfaces* surfaces, const Lights* lights) {
+// What an area light that the path met sends to it, over its probability together with that of `connect` (multiple importance
+// sampling). start: where the path scattered last.
+INLINE float3 met_light(const Lights* lights, const Surfaces* surfaces, const Surface* s, const Hit* hit, float3 start, float3 wi, float density) {
+#if TRIANGLE_LIGHTS || SPHERE_LIGHTS
+    const float4 place = lights->rows[s->light * LIGHT_ROWS + LIGHT_PLACE];
+    const float facing = inner(wi, s->ng);
+    const float3 way = s->p - start;
+    float found = 0.0f;
+    bool shines = facing > 0.0f;
+#if SPHERES && SPHERE_LIGHTS
+    if (hit->prim >= TRIANGLES) {
+        const float3 to = place.xyz - start;
+        const float d2 = inner(to, to), r2 = place.w * place.w;
+        found = d2 <= r2 ? inner(way, way) / (4.0f * PI * r2 * magnitude(facing)) : 1.0f / (2.0f * PI * cone(r2 / d2));
+    }
+#endif
+#if TRIANGLE_LIGHTS
+    if (hit->prim < TRIANGLES) {
+        if (place.w != 0.0f) shines = facing != 0.0f;
+        const float3 v0 = vertex(surfaces, hit->prim, 0), n = outer(vertex(surfaces, hit->prim, 1) - v0, vertex(surfaces, hit->prim, 2) - v0);
+        found = 2.0f * inner(way, way) / (magnitude(facing) * norm(n));
+    }
+#endif
+    if (shines) {
+        const float weight = density > 0.0f ? power_heuristic(density, area_density(lights, s->light, found)) : 1.0f;
+        return emitted(lights, surfaces, s->light, s->uv) * weight;
+    }
+#endif
+    return (float3)(0.0f);
+}
+
+INLINE float3 radiance(global const float4* camera, float2 position, Sequence sequence, const Geometry* geometry, const Surfaces* surfaces,
+                       const Lights* lights) {
     float3 sum = (float3)(0.0f), throughput = (float3)(1.0f);
     float density = 0.0f;  // of the direction that scattering chose; 0 where only scattering finds what lies there
     float eta = 1.0f;
-    Ray ray = camera_ray(position, &sequence);
+    Ray ray = camera_ray(camera, position, &sequence);
     float3 start = ray.o;  // where the path scattered last, which is not where it passed a cut-out
-    for (int depth = 0; depth < MAX_DEPTH; ++depth) {
+    int depth = 0;         // segments that count
+    for (int segment = 0; segment < MAX_SEGMENTS; ++segment) {
         const Hit hit = nearest(geometry, &ray);
         if (hit.prim == NOTHING) {
 #if ENVIRONMENT
@@ -73,53 +108,47 @@ INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geome
         }
         Surface s = surface_at(surfaces, &hit, &ray);
         const float3 wi = -ray.d;
-#if TRIANGLE_LIGHTS || SPHERE_LIGHTS
-        if (s.light >= 0 && !(depth == 0 && HIDE_EMITTERS)) {
-            const float4 place = lights->rows[s.light * LIGHT_ROWS + LIGHT_PLACE];
-            const float facing = inner(wi, s.ng);
-            float found = 0.0f;
-            bool shines = facing > 0.0f;
-#if SPHERES && SPHERE_LIGHTS
-            if (hit.prim >= TRIANGLES) {
-                const float3 to = place.xyz - start, way = s.p - start;
-                const float d2 = inner(to, to), r2 = place.w * place.w;
-                found = d2 <= r2 ? inner(way, way) / (4.0f * PI * r2 * magnitude(facing)) : 1.0f / (2.0f * PI * cone(r2 / d2));
+        float opacity = 1.0f;
+#if ALPHA_SHADOWS
+        opacity = opacity_at(surfaces, &s);
+#endif
+        if (s.light >= 0) {
+#if HIDE_EMITTERS
+            if (depth == 0) {  // the camera looks through them
+                ray.o = start = leave(&s, ray.d);
+                ray.tmax -= hit.t;
+                continue;
             }
 #endif
-#if TRIANGLE_LIGHTS
-            if (hit.prim < TRIANGLES) {
-                if (place.w != 0.0f) shines = facing != 0.0f;
-                const float3 v0 = vertex(surfaces, hit.prim, 0), way = s.p - start;
-                found = 2.0f * inner(way, way) / (magnitude(facing) * norm(outer(vertex(surfaces, hit.prim, 1) - v0, vertex(surfaces, hit.prim, 2) - v0)));
-            }
-#endif
-            if (shines) {
-                const float weight = density > 0.0f ? power_heuristic(density, area_density(lights, s.light, found)) : 1.0f;
-                sum += throughput * emitted(lights, surfaces, s.light, s.uv) * weight;
-            }
+            sum += throughput * met_light(lights, surfaces, &s, &hit, start, wi, density) * opacity;
         }
-#endif
-        if (depth + 1 >= MAX_DEPTH) break;
-        const float8 r = draws(&sequence, SEGMENT_PAIRS(depth));
-        float opacity;
-        const Bsdf bsdf = bsdf_at(surfaces, &s, wi, &opacity);
+        if (depth + 1 >= MAX_DEPTH && !ALPHA_SHADOWS) break;
+        const uint8 w = words(&sequence, SEGMENT_PAIRS(segment));
+        const float8 r = uniform_of(w);
 #if HAS_CUT_OUT
+#if !ALPHA_SHADOWS
+        opacity = opacity_at(surfaces, &s);
+        const int counts = 1;
+#else
+        const int counts = 0;
+#endif
         if (r.s7 >= opacity) {  // straight through, as by an interface that is not there
             ray.o = leave(&s, ray.d);
             ray.tmax = INFINITY;
-#if !ALPHA_SHADOWS
-            density = 0.0f;
-#endif
+            depth += counts;
+            if (counts) density = 0.0f;
             continue;
         }
 #endif
+        if (depth + 1 >= MAX_DEPTH) break;
+        const Bsdf bsdf = bsdf_at(surfaces, &s, wi);
         const float3 wi_local = to_local(&s, wi);
 #if LIGHTS
 #if HAS_DELTA
         if (bsdf.kind != DIELECTRIC && bsdf.kind != CONDUCTOR)
 #endif
         {
-            const Connection c = connect(lights, surfaces, s.p, r.s0, r.s4, r.s2);
+            const Connection c = connect(lights, surfaces, s.p, w.s0, w.s4, w.s2);
             if (largest(c.radiance) > 0.0f) {
                 float other;
                 const float3 value = evaluate(&bsdf, wi_local, to_local(&s, c.d), &other);
@@ -150,7 +179,7 @@ INLINE float3 radiance(float2 position, Sequence sequence, const Geometry* geome
         ray.tmax = INFINITY;
         const float most = largest(throughput);
         if (!(most > 0.0f)) break;
-        if (depth >= RR_DEPTH) {
+        if (++depth >= RR_DEPTH) {
             const float survival = smaller(most * eta * eta, 0.95f);
             if (r.s3 >= survival) break;
             throughput /= survival;

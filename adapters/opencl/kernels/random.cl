@@ -58,7 +58,7 @@ INLINE Sequence sequence(uint scramble, uint index) {
 }
 
 // Dimensions of pairs [first, first + 4): the first coordinate of each pair in the low half, the second in the high half.
-INLINE float8 draws(const Sequence* s, uint first) {
+INLINE uint8 words(const Sequence* s, uint first) {
     const uint4 pair = (uint4)(first) + (uint4)(0, 1, 2, 3);
 #if INDEPENDENT
     const uint8 counter = (uint8)(pair, pair + 0x40000000u);
@@ -79,5 +79,15 @@ INLINE float8 draws(const Sequence* s, uint first) {
     OWEN_REVERSED(x, keys);
     REVERSE_BITS(x);
 #endif
-    return convert_float8(x >> 8) * 0x1p-24f;
+    return x;
+}
+
+// The same as numbers in [0, 1).
+INLINE float8 uniform_of(uint8 words_) { return convert_float8(words_ >> 8) * 0x1p-24f; }
+INLINE float8 draws(const Sequence* s, uint first) { return uniform_of(words(s, first)); }
+
+// One of `count` entries of an alias table: *entry evenly, *rest in [0, 1) what the word has left.
+INLINE void split(uint word, uint count, int* entry, float* rest) {
+    *entry = (int)(((ulong)word * count) >> 32);
+    *rest = ((float)((word * count) >> 9) + 0.5f) * 0x1p-23f;
 }

@@ -1,7 +1,7 @@
 // The kernel. What a scene does not have is left out of its arguments too; tables.py lists the arrays in this order.
 
-kernel void render(uint first, uint count, global const float2* positions, global const uint* scramble, global const uint* index,
-                   global float* out, global const float4* materials, global const int* material_ints
+kernel void render(uint count, global const float2* positions, global const uint* scramble, global const uint* index,
+                   global float* out, global const float4* camera, global const float4* materials, global const int* material_ints
 #if TRIANGLES
                    , global const float8* triangle_packets, global const int* triangle_order, global const float* vertices, global const int* triangles
 #endif
@@ -30,7 +30,8 @@ kernel void render(uint first, uint count, global const float2* positions, globa
                    , global const float4* light_rows, global const int* light_ints, global const float* light_thresholds
 #endif
 #if ENVIRONMENT == 2
-                   , global const float4* environment_map, global const float2* environment_cells, global const int* environment_aliases
+                   , global const float4* environment_map, global const float2* environment_cells, global const int* environment_aliases,
+                   global const float* environment_bands, global const int* environment_band_aliases
 #endif
 ) {
     const uint i = get_global_id(0);
@@ -82,10 +83,11 @@ kernel void render(uint first, uint count, global const float2* positions, globa
     lights.map = environment_map;
     lights.cells = environment_cells;
     lights.cell_aliases = environment_aliases;
+    lights.bands = environment_bands;
+    lights.band_aliases = environment_band_aliases;
 #endif
-    const uint k = first + i;
-    const float3 value = radiance(positions[k], sequence(scramble[k], index[k]), &geometry, &surfaces, &lights);
-    out[3 * k] = value.x;
-    out[3 * k + 1] = value.y;
-    out[3 * k + 2] = value.z;
+    const float3 value = radiance(camera, positions[i], sequence(scramble[i], index[i]), &geometry, &surfaces, &lights);
+    out[3 * i] = value.x;
+    out[3 * i + 1] = value.y;
+    out[3 * i + 2] = value.z;
 }

@@ -99,6 +99,14 @@ INLINE float2 triangle_uv(const Surfaces* g, int triangle, float b0, float b1, f
     return (float2)(b1, b2);
 #endif
 }
+INLINE float4 triangle_color(const Surfaces* g, int triangle, float b0, float b1, float b2) {
+#if COLORS
+    global const int* ints = g->triangles + triangle * TRIANGLE_INTS;
+    return b0 * g->colors[ints[0]] + b1 * g->colors[ints[1]] + b2 * g->colors[ints[2]];
+#else
+    return (float4)(1.0f);
+#endif
+}
 #endif
 
 #if SPHERES

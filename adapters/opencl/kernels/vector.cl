@@ -1,5 +1,5 @@
 // Small functions that everything else uses. Most are OpenCL's own under other names: PoCL compiles its library for another
-// processor than the kernel, and calls instead of inlining it, for which all vector registers are saved to memory.
+// processor than the kernel and calls instead of inlining it, for which all vector registers are saved to memory.
 
 // Floating-point products are fused into sums nowhere that it is not asked for: images must not depend on how a compiler feels
 // about a loop, and watertight intersection rests on it.
@@ -23,7 +23,6 @@ OVERLOADED float limited(float x, float low, float high) { return smaller(larger
 
 OVERLOADED float magnitude(float x) { return as_float(as_int(x) & 0x7fffffff); }
 OVERLOADED float3 magnitude(float3 x) { return as_float3(as_int3(x) & 0x7fffffff); }
-INLINE float with_sign_of(float x, float sign) { return as_float((as_int(x) & 0x7fffffff) | (as_int(sign) & (int)0x80000000)); }
 
 #if defined(__clang__) && defined(__x86_64__) && !defined(PORTABLE)
 OVERLOADED float root(float x) { return __builtin_sqrtf(x); }

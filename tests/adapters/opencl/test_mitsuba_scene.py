@@ -361,8 +361,11 @@ def test_mask_and_normal_textures(files: Files) -> None:
     stored = files.picture("t.png", 5, 7, 3)
     part = (
         f'<shape type="rectangle"><bsdf type="normalmap"><texture type="bitmap" name="normalmap">{raw}</texture>'
+        '<boolean name="flip_invalid_normals" value="false"/><boolean name="use_shadowing_function" value="false"/>'
         '<bsdf type="diffuse"/></bsdf></shape>'
     )
+    with pytest.raises(ValueError, match="'flip_invalid_normals' on, as by default, which is not supported: set it to"):
+        files.read(part.replace('<boolean name="flip_invalid_normals" value="false"/>', ""))
     scene = files.read(part)
     pixels = scene.textures[scene.materials[scene.meshes[0].material].normal_texture].pixels
     np.testing.assert_allclose(pixels[..., 0], stored[..., 0] / 255, atol=1e-6)

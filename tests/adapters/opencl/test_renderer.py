@@ -39,9 +39,42 @@ def test_any_split_and_order_gives_the_same_bits(opencl: Any, batch_of: Any, sam
         some = slice(100, 100 + size)
         assert renderer(batch[some]).tobytes() == whole[some].tobytes()
     for piece in (64, 777, 5000):
-        renderer._piece = lambda piece=piece: piece
+        renderer._piece = renderer._largest = piece
         assert renderer(batch).tobytes() == whole.tobytes()
     assert len(renderer(batch[:0])) == 0
+
+
+def test_pieces_take_a_quarter_of_a_second(opencl: Any) -> None:
+    from pmc_sampler.adapters.opencl.renderer import next_piece
+
+    assert next_piece(10_000, 0.1, 10_000, 10**6) == 20_000  # 25,000 would take that long: not at once
+    assert next_piece(20_000, 0.2, 20_000, 10**6) == 25_000
+    assert next_piece(25_000, 2.5, 25_000, 10**6) == 2_500
+    assert next_piece(900_000, 0.01, 900_000, 10**6) == 10**6
+    assert next_piece(100, 0.01, 20_000, 10**6) == 2_500  # the rest of a batch
+    assert next_piece(10, 100.0, 20_000, 10**6) == 64
+
+
+def test_out_of_memory_makes_pieces_smaller(opencl: Any, batch_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And where even small ones do not fit, it is said, and the renderer goes on when there is room."""
+    renderer = opencl.OpenCLRenderer("diffuse", size=SIZE)
+    batch = batch_of(*SIZE, 40, 3)
+    whole = renderer(batch)
+    renderer._piece, room, real = 50_000, 20_000, renderer._room
+
+    def tight(count: int) -> Any:
+        if count > room:
+            raise MemoryError("full")
+        return real(count)
+
+    monkeypatch.setattr(renderer, "_room", tight)
+    assert renderer(batch).tobytes() == whole.tobytes()
+    assert renderer._largest < room * 2
+    room = 0
+    with pytest.raises(MemoryError, match="full"):
+        renderer(batch)
+    monkeypatch.undo()
+    assert renderer(batch).tobytes() == whole.tobytes()
 
 
 def test_other_samples_have_other_values(renderer: Any, batch_of: Any) -> None:

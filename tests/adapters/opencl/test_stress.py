@@ -33,6 +33,7 @@ def scene(parts: Any, camera: Any, cube: Any) -> Any:
         parts.Material("metallic-roughness", color=white, roughness=0.0, metallic=0.0, transmission=1.0, thin=False),
         parts.Material("metallic-roughness", color=white, roughness=1.0, metallic=0.5, transmission=0.5),
         parts.Material("metallic-roughness", color=black, roughness=0.0, eta=1.0001, metallic=0.0),
+        parts.Material("metallic-roughness", color=black, roughness=0.3, metallic=1.0),
         parts.Material("diffuse", color=white, cut_out=True, opacity=0.3, two_sided=True),
     )
     meshes, spheres = [], []
@@ -40,9 +41,9 @@ def scene(parts: Any, camera: Any, cube: Any) -> Any:
         # Needles: one side 1e-4 to 1, the other a millionth of it, or nothing at all.
         start = rng.uniform(-2, 2, (40, 3))
         along = rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(-4, 0, (40, 1))
-        aside = along * 1e-6 + rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(-9, -1, (40, 1)) * (
-            rng.random((40, 1)) > 0.1
-        )
+        aside = along * rng.choice([1e-6, 0.3], (40, 1)) + rng.normal(size=(40, 3)) * 10.0 ** rng.uniform(
+            -9, -1, (40, 1)
+        ) * (rng.random((40, 1)) > 0.1)
         corners = np.stack([start, start + along, start + aside], axis=1).astype(np.float32).reshape(-1, 3)
         lit = {"radiance": (1.0, 0.5, 0.2), "emits_both_sides": True} if i % 3 == 0 else {}
         faces = np.arange(120, dtype=np.uint32).reshape(-1, 3)
@@ -55,7 +56,8 @@ def scene(parts: Any, camera: Any, cube: Any) -> Any:
         meshes.append(slab)
     flat = np.array([[0, 1, 0], [1, 1, 0], [2, 1, 0]], np.float32)
     meshes.append(parts.Mesh(flat, np.array([[0, 1, 2], [0, 0, 0]], np.uint32), 0, radiance=(1e6, 1e6, 1e6)))
-    meshes.append(cube(1e6, material=0, inside=True, radiance=(0.3, 0.3, 0.3)))
+    room = cube(1e6, material=0, inside=True, radiance=(0.3, 0.3, 0.3))
+    meshes.append(parts.Mesh(room.vertices, room.triangles[2:].copy(), 0, radiance=(0.3, 0.3, 0.3)))  # open to the sky
     spheres.append(parts.Sphere((0.5, 1.8, 0.5), 1e-4, 0, radiance=(1e5, 1e5, 1e5)))
     lights = (parts.PointLight((0.1, 0.2, 3.0), (1.0, 1.0, 1.0)), parts.DirectionalLight((0.0, 0.0, -1.0), white))
     sky = parts.Environment(np.abs(rng.normal(size=(8, 16, 3))).astype(np.float32) ** 4)
