@@ -27,8 +27,8 @@ from pmc_sampler.adapters.opencl import OpenCLRenderer, program
 from pmc_sampler import Budget, Config, Sampler, scenes
 from pmc_sampler.cli.arguments import size
 
-MESH = "mesh"  # not built in: see mesh_scene
-SCENES = ("cornell-box", "cornell-box-mirrors", "materials", "thin-lens", MESH)
+MESHES = {"mesh": 256, "mesh-million": 708}  # not built in: the side that mesh_scene takes
+SCENES = ("cornell-box", "cornell-box-mirrors", "materials", "thin-lens", *MESHES)
 TRACERS = ("OpenCL, Sobol", "OpenCL, independent", "Mitsuba by our adapter, Sobol", "mi.render, independent")
 MATERIALS = ("DIFFUSE", "DIELECTRIC", "ROUGHDIELECTRIC", "CONDUCTOR", "ROUGHCONDUCTOR", "PLASTIC", "METALLIC_ROUGHNESS")
 # What a kernel would hold if it were not made for its scene.
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = _options(arguments)
     parts = [_head(options)]
     with tempfile.TemporaryDirectory() as folder:
-        files = {name: mesh_scene(Path(folder)) if name == MESH else name for name in options.scenes}
+        files = {name: mesh_scene(Path(folder), MESHES[name]) if name in MESHES else name for name in options.scenes}
         parts += [part(options, files) for part in (_against_mitsuba, _savings, _split)]
     text = "\n\n".join(parts) + "\n"
     print(text)
@@ -67,16 +67,20 @@ def mesh_scene(folder: Path, side: int = 256) -> str:
         f"ply\nformat binary_little_endian 1.0\nelement vertex {points.size // 3}\nproperty float x\nproperty float y\n"
         f"property float z\nelement face {len(faces)}\nproperty list uchar int vertex_indices\nend_header\n"
     )
-    (folder / "ball.ply").write_bytes(header.encode() + points.reshape(-1, 3).astype("<f4").tobytes() + faces.tobytes())
+    (folder / f"ball-{side}.ply").write_bytes(
+        header.encode() + points.reshape(-1, 3).astype("<f4").tobytes() + faces.tobytes()
+    )
     text = scenes.path("cornell-box").read_text(encoding="utf-8")
     begin = text.index('<shape type="sphere"')
     end = text.index("</shape>", begin) + len("</shape>")
     ball = (
-        '<shape type="ply"><string name="filename" value="ball.ply"/><boolean name="face_normals" value="true"/>'
+        '<shape type="ply"><string name="filename" value="ball-SIDE.ply"/><boolean name="face_normals" value="true"/>'
         '<bsdf type="diffuse"><rgb name="reflectance" value="0.7, 0.6, 0.4"/></bsdf></shape>'
     )
-    (folder / "mesh.xml").write_text(text[:begin] + ball + text[end:], encoding="utf-8")
-    return str(folder / "mesh.xml")
+    (folder / f"mesh-{side}.xml").write_text(
+        text[:begin] + ball.replace("SIDE", str(side)) + text[end:], encoding="utf-8"
+    )
+    return str(folder / f"mesh-{side}.xml")
 
 
 def drawn(width: int, height: int, spp: int) -> Any:

@@ -68,12 +68,9 @@ def label(device: Any) -> str:
     return f"{device.name.strip()} ({device.platform.name.strip()}, {device.driver_version.strip()})"
 
 
-def is_gpu(device: Any) -> bool:
-    """Whether the device is a GPU, whose driver may end a kernel that takes seconds."""
-    return bool(device.type & cl.device_type.GPU)
-
-
-def _rank(device: Any) -> tuple[int, tuple[int, ...]]:
-    kind = 0 if device.type & cl.device_type.GPU else 1 if device.type & cl.device_type.ACCELERATOR else 2
+def _rank(device: Any) -> tuple[int, ...]:
+    if device.type & cl.device_type.GPU:
+        return 0, bool(device.host_unified_memory), -device.max_compute_units  # those on boards first
+    kind = 1 if device.type & cl.device_type.ACCELERATOR else 2
     pocl = re.search(r"PoCL (\d+)\.(\d+)", f"{device.platform.version} {device.version}", re.IGNORECASE)
-    return kind, tuple(-int(number) for number in pocl.groups()) if pocl else (-1000,)
+    return kind, *((-int(number) for number in pocl.groups()) if pocl else (-1000,))

@@ -107,6 +107,7 @@ INLINE float3 radiance(global const float4* camera, float2 position, Sequence se
             break;
         }
         Surface s = surface_at(surfaces, &hit, &ray);
+        if (!(inner(s.ng, s.ng) > 0.5f)) break;  // a triangle that has an area to the host and none here
         const float3 wi = -ray.d;
         float opacity = 1.0f;
 #if ALPHA_SHADOWS

@@ -24,7 +24,7 @@ typedef union {
     float one[8];
 } Lanes;
 
-// The nearest of a packet's hits, by halves.
+// Of a packet's hits, the nearest one, if it is nearer than what is known.
 #define NEAREST_LANE(mask, distance, hit, order, packet, base)                            \
     uint found = lanes(mask);                                                             \
     if (found) {                                                                          \

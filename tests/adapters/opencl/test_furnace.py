@@ -26,6 +26,9 @@ MATERIALS: dict[str, dict[str, Any]] = {
     "plastic": {"kind": "plastic", **WHITE},
     "cut-out": {"kind": "diffuse", **WHITE, "cut_out": True, "opacity": 0.5, "two_sided": True},
     "glTF metal": {"kind": "metallic-roughness", **WHITE, "roughness": 0.1},
+    "glTF solid": {
+        "kind": "metallic-roughness", **WHITE, "metallic": 0.0, "roughness": 0.1, "transmission": 1.0, "thin": False
+    },
     "glTF window": {
         "kind": "metallic-roughness", **WHITE, "metallic": 0.0, "roughness": 0.1, "transmission": 1.0
     },
@@ -65,7 +68,9 @@ def test_under_a_white_sky(
 
 def loss(name: str) -> float:
     """What a material is known to lose or gain: rough ones what is masked, plastic the error of a fit."""
-    return 1e-3 if name in ("rough mirror", "rough glass", "glTF metal", "glTF window", "plastic") else 0.0
+    return (
+        1e-3 if name in ("rough mirror", "rough glass", "glTF metal", "glTF window", "glTF solid", "plastic") else 0.0
+    )
 
 
 @pytest.mark.parametrize("size", [1e-4, 1.0, 1e6])

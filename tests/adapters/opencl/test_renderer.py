@@ -146,13 +146,15 @@ def test_gpus_come_before_cpus_and_new_pocl_before_old(opencl: Any) -> None:
     from pmc_sampler.adapters.opencl import devices
 
     class Device:
-        def __init__(self, kind: int, version: str) -> None:
-            self.type, self.version = kind, version
+        def __init__(self, kind: int, version: str, units: int = 1, unified: bool = False) -> None:
+            self.type, self.version, self.max_compute_units, self.host_unified_memory = kind, version, units, unified
             self.platform = self
 
     old, new = (Device(cl.device_type.CPU, f"OpenCL 3.0 PoCL {v}") for v in ("3.0-rc2", "6.1"))
     gpu, vendor = Device(cl.device_type.GPU, "OpenCL 3.0 CUDA"), Device(cl.device_type.CPU, "OpenCL 3.0 (Build 0)")
-    assert sorted([old, vendor, new, gpu], key=devices._rank) == [gpu, vendor, new, old]
+    shared = Device(cl.device_type.GPU, "OpenCL 3.0", 96, unified=True)
+    larger = Device(cl.device_type.GPU, "OpenCL 3.0", 80)
+    assert sorted([old, shared, vendor, new, gpu, larger], key=devices._rank) == [larger, gpu, shared, vendor, new, old]
 
 
 def test_no_device(opencl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
