@@ -1034,3 +1034,77 @@ def test_damaged_bytes(file: File) -> None:
             except Exception as error:
                 if not isinstance(error, ValueError | FileNotFoundError) or "scene.glb" not in str(error):
                     pytest.fail(f"file {i} raised {error!r}")
+
+
+# --- Rendered: from the file to the picture --------------------------------------------------------------------------
+def seen(file: File) -> Any:
+    """The file's picture, (h, w, 3), through the tracer."""
+    from pmc_sampler import Budget, Config, adapters, render
+
+    radiance = adapters.load("opencl", file.write("binary"), size=(32, 24))
+    return render(radiance, 32, 24, Budget(spp=64), Config.uniform()).film.mean
+
+
+@pytest.mark.needs("pyopencl")
+def test_rendered_cards_show_what_is_behind_where_they_are_cut_out(file: File) -> None:
+    """Unlit cards show their colour, exactly, and the sky where alpha is 0; light falls through them alike."""
+    pixels = np.array([[[255, 255, 255, 255], [255, 255, 255, 0]]], np.uint8)
+    card = {
+        "pbrMetallicRoughness": {
+            "baseColorTexture": {"index": file.picture(pixels, magFilter=9728, minFilter=9728)},
+            "baseColorFactor": [0.2, 0.4, 0.6, 1.0],
+        },
+        "alphaMode": "MASK",
+        "doubleSided": True,
+        "extensions": {"KHR_materials_unlit": {}},
+    }
+    file.textured(card)
+    file.add("cameras", {"type": "perspective", "perspective": {"yfov": 0.8, "znear": 0.01, "aspectRatio": 2.0}})
+    file.add("nodes", {"camera": 0, "translation": [1.0, 0.5, 1.0]})
+    image = seen(file)
+    np.testing.assert_allclose(image[10:14, 10:14], np.broadcast_to([0.2, 0.4, 0.6], (4, 4, 3)), rtol=1e-5)
+    np.testing.assert_allclose(image[10:14, 18:22], 0.5, rtol=1e-5)  # the sky of a file without light
+
+
+@pytest.mark.needs("pyopencl")
+@pytest.mark.parametrize("double_sided", [False, True])
+def test_rendered_from_behind(file: File, double_sided: bool) -> None:
+    white = {"pbrMetallicRoughness": {"metallicFactor": 0.0}, "doubleSided": double_sided}
+    file.mesh(file.primitive(material=file.add("materials", white), NORMAL=UP))
+    file.add("cameras", {"type": "perspective", "perspective": {"yfov": 0.8, "znear": 0.01}})
+    file.add("nodes", {"camera": 0, "translation": [1.0, 0.5, -1.0], "rotation": [0.0, 1.0, 0.0, 0.0]})
+    middle = seen(file)[10:14, 12:20]
+    assert middle.mean() > 0.3 if double_sided else middle.max() == 0.0
+
+
+@pytest.mark.needs("pyopencl")
+def test_rendered_by_the_command(
+    file: File, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`pmc-sampler render scene.glb`, framed and lit: the quad is all in the picture, its texture the right way up."""
+    from pmc_sampler.eval import images
+
+    from pmc_sampler.cli import main
+
+    pixels = np.zeros((2, 2, 3), np.uint8)
+    pixels[0, 0] = [255, 0, 0]  # the upper left
+    pixels[1, 1] = [0, 0, 255]
+    file.textured({
+        "pbrMetallicRoughness": {
+            "metallicFactor": 0.0,
+            "baseColorTexture": {"index": file.picture(pixels, magFilter=9728, minFilter=9728)},
+        }
+    })  # fmt: skip
+    path = file.write("binary")
+    monkeypatch.chdir(file.folder)
+    assert main(["render", path.name, "--size", "64x48", "--spp", "16", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["output"] == "scene.exr"
+    rgb = images.read("scene.exr").rgb
+    redder, bluer = rgb[..., 0] - rgb[..., 2] > 0.1, rgb[..., 2] - rgb[..., 0] > 0.1
+    assert redder.sum() > 50
+    assert bluer.sum() > 50
+    (upper, left), (lower, right) = (np.argwhere(mask).mean(axis=0) for mask in (redder, bluer))
+    assert upper < lower
+    assert left < right
+    border = np.concatenate([rgb[0], rgb[-1], rgb[:, 0], rgb[:, -1]])
+    np.testing.assert_allclose(border, 0.5, atol=0.02)
