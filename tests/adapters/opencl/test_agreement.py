@@ -116,6 +116,21 @@ def test_glass_and_glass_that_is_a_little_other(p_of: Any, tmp_path: Path) -> No
     assert p_of(tmp_path / "right.xml", tmp_path / "wrong.xml") < 1e-6
 
 
+@pytest.mark.long
+def test_glass_of_the_cornell_box_that_is_a_little_other(p_of: Any, tmp_path: Path) -> None:
+    """The same control in the Cornell box, seen from nearer, whose noise takes more samples to look through."""
+    from pmc_sampler import scenes
+
+    text = scenes.path("cornell-box").read_text(encoding="utf-8")
+    for old, new in (('"39.3077"', '"12"'), ('target="0, 1, 0"', 'target="0.4, 0.4, 0.4"')):
+        assert text.count(old) == 1
+        text = text.replace(old, new)
+    (tmp_path / "right.xml").write_text(text)
+    (tmp_path / "wrong.xml").write_text(text.replace('name="int_ior" value="1.5"', 'name="int_ior" value="1.53"'))
+    assert p_of(tmp_path / "right.xml", spp=512) > FALSE_ALARMS
+    assert p_of(tmp_path / "right.xml", tmp_path / "wrong.xml", spp=512) < FALSE_ALARMS
+
+
 def test_hidden_emitters(p_of: Any, tmp_path: Path) -> None:
     """The camera looks through lamps, which light what is behind them."""
     hiding = HEAD.replace('value="8"/>', 'value="8"/><boolean name="hide_emitters" value="true"/>')
