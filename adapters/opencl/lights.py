@@ -31,7 +31,10 @@ class Lights:
 
 
 def light_table(scene: Scene) -> Lights:
-    """All lights of a scene, each with the probability of being chosen: in proportion to its power.
+    """All lights of a scene, each with the probability of being chosen.
+
+    Lights at infinity, whose power depends on how far a scene reaches, are as probable each as all others together
+    (as in pbrt-v4, section 12.6.3); those are chosen in proportion to their power.
 
     Raises ValueError for light from infinity where there is nothing that it could fall on.
     """
@@ -63,7 +66,6 @@ def light_table(scene: Scene) -> Lights:
             )
             ints.append((_SPHERE, i, 0, -1))
             powers.append(4.0 * math.pi**2 * sphere.radius**2 * _luminance(sphere.radiance))
-    extent = _radius(scene)
     for light in scene.lights:
         if isinstance(light, PointLight):
             rows.append(((*light.intensity, 0.0), (*light.position, 0.0)))
@@ -73,7 +75,7 @@ def light_table(scene: Scene) -> Lights:
             direction = -np.array(light.direction) / np.linalg.norm(light.direction)
             rows.append(((*light.irradiance, 0.0), (*direction, 0.0)))
             ints.append((_DIRECTIONAL, 0, 0, -1))
-            powers.append(math.pi * extent**2 * _luminance(light.irradiance))
+            powers.append(-1.0)
     kinds = [row[0] for row in ints]
     macros: dict[str, Any] = {
         "TRIANGLE_LIGHTS": kinds.count(_TRIANGLE),
@@ -85,20 +87,17 @@ def light_table(scene: Scene) -> Lights:
     }
     environment: dict[str, NDArray[Any]] = {}
     if scene.environment is not None and float(scene.environment.radiance.max()) > 0.0:
-        mean = _environment(scene.environment, macros, environment)
+        _environment(scene.environment, macros, environment)
         rows.append(((0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.0)))  # the last row, which the kernel counts on
         ints.append((_ENVIRONMENT, 0, 0, -1))
-        powers.append(4.0 * math.pi**2 * extent**2 * mean)
+        powers.append(-1.0)
     macros["LIGHTS"] = len(rows)
     arrays: dict[str, NDArray[Any]] = {}
     if rows:
-        weights = np.array(powers, np.float64)
-        if not weights.sum() > 0.0:  # only light that no luminance tells of
-            weights = np.ones(len(rows))
-        weights = np.maximum(weights, 1e-6 * weights.max())  # none may be impossible to choose
+        weights = _probabilities(np.array(powers, np.float64))
         thresholds, aliases = alias_table(weights)
         table = np.array(rows, np.float32)
-        table[:, 0, 3] = weights / weights.sum()
+        table[:, 0, 3] = weights
         numbers = np.array(ints, np.int32)
         numbers[:, 2] = aliases
         arrays = {"light_rows": table, "light_ints": numbers, "light_thresholds": thresholds}
@@ -127,26 +126,26 @@ def _luminance(rgb: Any) -> float:
     return float(np.dot(_LUMINANCE, rgb))
 
 
-def _radius(scene: Scene) -> float:
-    """Of a ball around everything in the scene; 1 where nothing has any extent."""
-    points = [mesh.vertices for mesh in scene.meshes if len(mesh.vertices)]
-    points += [np.array([np.array(s.center) - s.radius, np.array(s.center) + s.radius]) for s in scene.spheres]
-    if not points:
-        return 1.0
-    lower = np.min([p.min(axis=0) for p in points], axis=0)
-    upper = np.max([p.max(axis=0) for p in points], axis=0)
-    return float(0.5 * np.linalg.norm(upper - lower)) or 1.0
+def _probabilities(powers: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of lights with these powers, -1 for those at infinity; none is impossible to choose."""
+    infinite = powers < 0.0
+    weights = np.where(infinite, 0.0, powers)
+    if not weights.sum() > 0.0:  # only light that no luminance tells of
+        weights = np.where(infinite, 0.0, 1.0)
+    weights = np.where(infinite, 0.0, np.maximum(weights, 1e-6 * weights.max()))
+    weights[infinite] = weights.sum() or 1.0
+    return weights / weights.sum()
 
 
-def _environment(environment: Environment, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> float:
-    """Macros and arrays of the environment; its mean luminance."""
+def _environment(environment: Environment, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
+    """Macros and arrays of the environment."""
     radiance = environment.radiance
     for axis, name in enumerate("XYZ"):
         macros[f"ENVIRONMENT_{name}"] = environment.to_world[:, axis]
     if radiance.shape[:2] == (1, 1):
         macros["ENVIRONMENT"] = 1
         macros["ENVIRONMENT_RADIANCE"] = radiance[0, 0]
-        return _luminance(radiance[0, 0])
+        return
     height, width = radiance.shape[:2]
     macros.update(ENVIRONMENT=2, ENVIRONMENT_WIDTH=width, ENVIRONMENT_HEIGHT=height)
     nodes = np.zeros((height, width + 1, 4), np.float32)
@@ -165,4 +164,3 @@ def _environment(environment: Environment, macros: dict[str, Any], arrays: dict[
     arrays["environment_cells"] = np.column_stack([(weights / weights.sum()).ravel(), thresholds]).astype(np.float32)
     arrays["environment_aliases"] = np.concatenate([table[1] for table in tables])
     arrays["environment_bands"], arrays["environment_band_aliases"] = bands
-    return mean
