@@ -23,6 +23,7 @@ GROUP = "pmc_sampler.renderers"
 _OWN = {  # module within this package, class
     "mitsuba": "mitsuba:MitsubaRenderer",
     "opencl": "opencl:OpenCLRenderer",
+    "povray": "povray:PovRayRenderer",
 }
 
 

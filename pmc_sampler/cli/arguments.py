@@ -10,6 +10,7 @@ from pmc_sampler import __version__
 
 METHODS = ("pmc", "pmc-paper", "pt")
 DEFAULT_RENDERER = "opencl"
+RENDERERS = {".pov": "povray", ".ini": "povray"}  # of files that one renderer alone reads
 DEFAULT_SPP = 64
 
 
@@ -43,7 +44,11 @@ def parser() -> argparse.ArgumentParser:
 
 def _render(p: argparse.ArgumentParser) -> None:
     p.add_argument("scene", metavar="SCENE", help="a built-in scene's name or a scene file")
-    p.add_argument("--renderer", default=DEFAULT_RENDERER, metavar="NAME", help="default: %(default)s")
+    p.add_argument(
+        "--renderer",
+        metavar="NAME",
+        help=f"default: {DEFAULT_RENDERER}, and povray for .pov and .ini files",
+    )
     p.add_argument(
         "--method",
         choices=METHODS,
@@ -105,6 +110,11 @@ def _compare(p: argparse.ArgumentParser) -> None:
         help="factor before display encoding; default: 1",
     )
     p.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def renderer_for(scene: str) -> str:
+    """The renderer that is meant where none is named."""
+    return RENDERERS.get(Path(scene).suffix.lower(), DEFAULT_RENDERER)
 
 
 def size(text: str) -> tuple[int, int]:

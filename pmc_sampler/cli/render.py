@@ -17,6 +17,7 @@ from pmc_sampler import Sampler
 from pmc_sampler.sampler import sampler_for
 
 from . import settings
+from .arguments import renderer_for
 from .checkpoint import Checkpoint
 from .errors import CommandError
 from .output import Output, report
@@ -43,6 +44,7 @@ class Job:
 
 def render(options: argparse.Namespace) -> int:
     """Render, write and report; returns the exit status."""
+    options.renderer = options.renderer or renderer_for(options.scene)
     output = Output(options)
     with (
         _stop_asked() as asked

@@ -1,0 +1,105 @@
+"""Whether the rays that are given to POV-Ray are those of the scene's own camera: a small image by both ways."""
+
+from __future__ import annotations
+
+import contextlib
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import images
+from .camera import Camera
+from .numbers import lens
+from .prepare import sized
+from .program import private_folder
+from .ray_mesh import mesh_camera
+from .source import IMAGE, Source
+
+__all__ = ["check", "small"]
+
+Image = NDArray[np.float32]
+_WIDTH = 64  # pixels
+_LENS = 16  # rays through the lens for each pixel
+_SAME = 0.01  # relative difference of values that count as the same
+_SHARE = 0.97  # of the pixels that are the same where there is no noise
+_NOISE = 3.0  # times as far apart as two images of ours, at most, where there is
+
+
+def small(width: int, height: int) -> tuple[int, int]:
+    """The size of the small image: 64 pixels wide, of that shape."""
+    return _WIDTH, max(1, min(4 * _WIDTH, round(_WIDTH * height / width)))
+
+
+def check(source: Source, camera: Camera, width: int, height: int) -> None:
+    """Compares images of `width` by `height` pixels, for which `camera` is the scene's.
+
+    They have to be the same in nearly all pixels or, where a scene's light or lens is random, as close to each other as
+    two images of ours with other random numbers.
+
+    Raises ValueError if they are not, and as `Source.run`.
+    """
+    with contextlib.ExitStack() as stack:
+        folders = [stack.enter_context(private_folder()) for _ in range(4)]
+        scene = sized(source, width, height, folders[0])
+        own = source.start(folders[1], (f"+W{width}", f"+H{height}"))
+        stack.callback(own.kill)
+        ours = _Rays(scene, camera, width, height, 1).image(folders[2])  # while the other runs
+        own.wait(source.timeout).check(str(source.file))
+        theirs = _image(folders[1], source.file, width, height)
+        if not camera.has_lens and _same(theirs, ours) >= _SHARE:
+            return
+        again = _Rays(scene, camera, width, height, 2).image(folders[3])
+    noise, apart = _apart(ours, again), _apart(theirs, ours)
+    if apart > max(_NOISE * noise, _SAME):
+        raise ValueError(
+            f"the camera found in {source.file} is not the one that POV-Ray uses: in images of {width}x{height} pixels "
+            f"the two differ by {apart:.1%} on average, and by {noise:.1%} from one time to the next; give the camera "
+            "(its location, right, up and direction), or leave out the check"
+        )
+
+
+class _Rays:
+    """Rays through the centres of all pixels, in an order that `seed` gives."""
+
+    def __init__(self, source: Source, camera: Camera, width: int, height: int, seed: int) -> None:
+        self._source, self._size = source, (height, width, 3)
+        self._rays = _LENS if camera.has_lens else 1
+        pixel = np.repeat(np.arange(width * height, dtype=np.uint32), self._rays)
+        pixel = np.random.default_rng(seed).permutation(pixel)
+        positions = np.stack([pixel % width + 0.5, pixel // width + 0.5], axis=1)
+        seen = camera.sees(width, height, positions)
+        self._pixel = pixel[seen]
+        through = lens("independent", np.full(len(pixel), seed, np.uint32), np.arange(len(pixel), dtype=np.uint32))
+        self._text = mesh_camera(camera, width, height, positions[seen], through[seen]) if seen.any() else ""
+
+    def image(self, folder: Path) -> Image:
+        """Their radiance, averaged in each pixel."""
+        out = np.zeros((self._size[0] * self._size[1], 3), np.float32)
+        if len(self._pixel):
+            self._source.run(folder, (f"+W{len(self._pixel)}", "+H1"), self._text)
+            np.add.at(out, self._pixel, _image(folder, self._source.file, len(self._pixel), 1)[0])
+        out /= np.float32(self._rays)
+        return out.reshape(self._size)
+
+
+def _image(folder: Path, scene: Path, width: int, height: int) -> Image:
+    if not images.whole(folder / IMAGE):
+        raise ValueError(f"POV-Ray ended without an error and without an image of {scene}")
+    pixels = images.read(folder / IMAGE)
+    if pixels.shape[:2] != (height, width):
+        raise ValueError(f"POV-Ray's image of {scene} is {pixels.shape[1]}x{pixels.shape[0]}, not {width}x{height}")
+    images.clamp(pixels)
+    return pixels
+
+
+def _same(a: Image, b: Image) -> float:
+    """The share of the pixels that are the same."""
+    near = np.abs(a - b) <= _SAME * (np.maximum(np.abs(a), np.abs(b)) + 0.1 * np.abs(a).mean())
+    return float(near.all(axis=2).mean())
+
+
+def _apart(a: Image, b: Image) -> float:
+    """The mean difference, relative to the mean; large values count by their logarithm."""
+    a, b = np.log1p(np.maximum(a, 0)), np.log1p(np.maximum(b, 0))
+    return float(np.abs(a - b).mean() / max(float((a + b).mean() / 2), 1e-9))

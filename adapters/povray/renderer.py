@@ -1,0 +1,245 @@
+"""`PovRayRenderer`: any POV-Ray scene as a callable from a batch of samples to radiance."""
+
+from __future__ import annotations
+
+import functools
+import os
+import shutil
+import tempfile
+import threading
+import weakref
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import check as checks
+from . import images, numbers, options, program, source
+from .camera import Camera
+from .extract import extract
+from .prepare import sized, with_photons_saved, with_radiosity_saved
+from .ray_mesh import mesh_camera
+from .worker import Pool
+
+__all__ = ["PovRayRenderer"]
+
+_SIZE = (640, 480)
+
+
+class PovRayRenderer:
+    """Renders a scene's samples with POV-Ray 3.7, through a camera that has a pixel for each of them.
+
+    Called with a `Batch` it returns the radiance of each of its samples, shape (n, 3), float32, linear RGB. POV-Ray has
+    no seed: where a scene's light is random, a sample's value depends on its place among the others, and those are
+    shuffled. The same batch gives the same values, with the same `processes`; other batches have independent noise.
+
+    A scene is a program: POV-Ray reads and writes files with the user's rights for it. It runs in a folder of its own,
+    which is removed with all that was written there; nothing else protects from a malicious scene.
+
+    Parameters
+    ----------
+    scene
+        A `.pov` file; an `.ini` file with `Input_File_Name`; or what is exported: a built-in scene's name, a Mitsuba
+        `.xml` file, a glTF file or a `Scene` (see `export` for what POV-Ray makes of it).
+    sampler
+        "independent" or "sobol": for the places on the lens of a camera with focal blur. The rest is POV-Ray's.
+    size
+        (width, height) of the image in pixels, by default as `options` say, else 640x480.
+    camera
+        The camera, in place of the scene's: a `Camera`, or a mapping with "location", "right", "up" and "direction"
+        (and what else a `Camera` has).
+    options
+        POV-Ray's: "Declare=NAME=VALUE", "Library_Path=FOLDER", "+LFOLDER", "+K0.5", "scene.ini", "scene.ini[section]".
+    timeout
+        Seconds that a run of POV-Ray may take, in each of its processes for its share of a batch.
+    processes
+        How many trace at once, by default two for each processor, for a part of a process's time is spent asleep. The
+        noise depends on it: give it for the same image on machines with other numbers of processors.
+    check
+        Whether the scene's camera is checked once by a small image, unless `camera` is given.
+    radiosity, photons
+        For scenes that are exported: see `export`.
+
+    Attributes
+    ----------
+    camera
+        The `Camera`.
+    clamped
+        In how many samples so far radiance was infinite, beyond half floats, and is 65504 instead.
+    seconds
+        What was spent so far on writing "rays" and waiting for "povray"; "cpu" is the processor time of the latter.
+
+    Raises
+    ------
+    FileNotFoundError, OSError
+        For a scene file that is missing or cannot be read.
+    ValueError
+        For a scene that POV-Ray cannot render, with its message, file and line; for one whose camera cannot be found;
+        for an unknown sampler or option.
+    TimeoutError
+        If POV-Ray takes longer than `timeout` (which is an OSError).
+    RuntimeError
+        If there is no POV-Ray, with what to install.
+    """
+
+    takes_batch = True
+
+    def __init__(
+        self,
+        scene: Any,
+        *,
+        sampler: str = "independent",
+        size: tuple[int, int] | None = None,
+        camera: Camera | Mapping[str, Any] | None = None,
+        options: Sequence[str] = (),
+        timeout: float = program.TIMEOUT,
+        processes: int | None = None,
+        check: bool = True,
+        radiosity: bool = False,
+        photons: int = 0,
+    ) -> None:
+        if sampler not in numbers.SAMPLERS:
+            raise ValueError(f"a sampler is {' or '.join(map(repr, numbers.SAMPLERS))}, not {sampler!r}")
+        if not timeout > 0:
+            raise ValueError(f"a timeout is a number of seconds above 0, not {timeout!r}")
+        if processes is not None and not (isinstance(processes, int) and processes >= 1):
+            raise ValueError(f"processes are a whole number from 1, not {processes!r}")
+        program.find()
+        self.sampler = sampler
+        self._lock = threading.Lock()
+        self._folder = Path(tempfile.mkdtemp(prefix="pmc-povray-"))
+        weakref.finalize(self, _remove, self._folder, os.getpid())
+        self._filter: dict[str, Any] = {"filter": "box", "filter_radius": 0.5}
+        file, given, size = self._named(scene, size, options, radiosity, photons)
+        self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
+        _check_size(self.width, self.height)
+        made = source.of_file(file, given.libraries, given.switches, timeout)
+        made = with_photons_saved(made, self._folder)
+        made = with_radiosity_saved(made, self.width, self.height, self._folder)
+        self.scene = file
+        self.camera = _camera(camera) if camera is not None else _found(made, self.width, self.height, check)
+        self.clamped = 0
+        self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or 2 * _processors())
+
+    @classmethod
+    def probe(cls) -> str:
+        """A line on the version; raises RuntimeError if there is no POV-Ray, with what to install."""
+        return f"POV-Ray {program.version()} ({program.find()}), {2 * _processors()} processes"
+
+    @classmethod
+    def version(cls) -> str:
+        """POV-Ray's version."""
+        return f"POV-Ray {program.version()}"
+
+    @property
+    def filter(self) -> Mapping[str, Any]:
+        """The settings of a `Config` for the reconstruction filter: a box, since POV-Ray scenes name none."""
+        return self._filter
+
+    @property
+    def processes(self) -> int:
+        """How many processes trace at once."""
+        return self._pool.processes
+
+    @property
+    def seconds(self) -> Mapping[str, float]:
+        """What was spent so far, by what on."""
+        return self._pool.seconds
+
+    def __repr__(self) -> str:
+        return f"PovRayRenderer({self.scene}, {self.width}x{self.height}, {self.camera.kind}, {self.sampler})"
+
+    def close(self) -> None:
+        """Ends the processes that wait for the next batch; happens by itself when the object goes, or Python ends."""
+        self._pool.close()
+        _remove(self._folder, os.getpid())
+
+    def __call__(self, batch: Any) -> NDArray[np.float32]:
+        """The radiance of each sample of `batch`, shape (n, 3), float32, linear RGB.
+
+        Raises TypeError for what is no batch, and as the class does if POV-Ray fails; no process is left then.
+        """
+        try:
+            positions, scramble, index, number = batch.positions, batch.scramble, batch.index, batch.number
+        except AttributeError:
+            raise TypeError(
+                "a PovRayRenderer is called with a Batch (positions, scramble and index of each sample, number), "
+                f"not with {type(batch).__name__}"
+            ) from None
+        out = np.zeros((len(positions), 3), np.float32)
+        with self._lock:
+            order = numbers.order(np.asarray(scramble, np.uint32), np.asarray(index, np.uint32), int(number))
+            order = order[self.camera.sees(self.width, self.height, positions[order])]
+            if len(order) == 0:
+                return out
+            positions = np.asarray(positions, np.float64)[order]
+            lens = numbers.lens(self.sampler, scramble[order], index[order]) if self.camera.has_lens else None
+
+            def rays(first: int, last: int) -> str:
+                through = None if lens is None else lens[first:last]
+                return mesh_camera(self.camera, self.width, self.height, positions[first:last], through)
+
+            radiance = self._pool.trace(len(order), rays)
+            self.clamped += images.clamp(radiance)
+            out[order] = radiance
+        return out
+
+    def _named(
+        self, scene: Any, size: tuple[int, int] | None, given: Sequence[str], radiosity: bool, photons: int
+    ) -> tuple[Path, options.Options, tuple[int, int] | None]:
+        """The scene's file, its options and the size, where one is settled."""
+        if isinstance(scene, str | os.PathLike):
+            file = Path(scene)
+            if file.suffix.lower() == ".ini" or os.fspath(scene).endswith("]"):
+                read = options.read([os.fspath(scene), *given])
+                if read.scene is None:
+                    raise ValueError(f"the INI file {scene} names no scene (Input_File_Name=SCENE.pov)")
+                return read.scene, read, size
+            if file.suffix.lower() in (".pov", ".inc", ".sdl"):
+                return file, options.read(given), size
+        from ..opencl.load import scene_of  # not above: it needs what our OpenCL tracer needs
+        from .export import export
+
+        made = scene_of(scene, size)
+        self._filter = dict(made.filter)
+        file = export(made, self._folder / "exported", radiosity=radiosity, photons=photons)
+        return file, options.read(given), (made.camera.width, made.camera.height)
+
+
+def _found(made: source.Source, width: int, height: int, check: bool) -> Camera:
+    """The scene's own camera, checked if wanted."""
+    find = functools.partial(extract, made)
+    camera = find(width, height)
+    if check:
+        small = checks.small(width, height)
+        checks.check(made, camera if small == (width, height) else find(*small), *small)
+    return camera
+
+
+def _camera(given: Camera | Mapping[str, Any]) -> Camera:
+    if isinstance(given, Camera):
+        return given
+    try:
+        return Camera(**{"kind": "perspective", **given})
+    except TypeError as error:
+        raise ValueError(
+            "a camera is a Camera, or a mapping with location, right, up, direction and what else a Camera has "
+            f"({str(error).partition(') ')[2] or error})"
+        ) from None
+
+
+def _check_size(width: Any, height: Any) -> None:
+    if not all(int(side) == side and side >= 1 for side in (width, height)):
+        raise ValueError(f"a size is (width, height) in whole pixels, at least 1 by 1, not {(width, height)!r}")
+
+
+def _processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _remove(folder: Path, owner: int) -> None:
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)

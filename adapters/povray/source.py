@@ -1,0 +1,59 @@
+"""A scene as POV-Ray gets it: its text, and what every run of it is given besides."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import program
+
+__all__ = ["IMAGE", "Source", "of_file"]
+
+IMAGE = "image.exr"
+# EXR, no anti-aliasing, and neither the debug nor the render messages. Warnings stay: without them errors go, too.
+_FLAGS = ("+FE", f"+O{IMAGE}", "-A", "-GD", "-GR", "-GS")
+
+
+@dataclass(frozen=True)
+class Source:
+    """A scene's text with the file that it is from, the folders of its includes, switches, and the time a run has.
+
+    files: those of ours that are put beside the text, as "name" -> where it is.
+    """
+
+    file: Path
+    text: str
+    libraries: tuple[Path, ...]
+    switches: tuple[str, ...]
+    timeout: float
+    files: tuple[tuple[str, Path], ...] = ()
+
+    def start(
+        self, folder: Path, arguments: Sequence[str] = (), more: str = "", root: Path | None = None
+    ) -> program.Process:
+        """POV-Ray in `folder`, for the text and then `more`; by default it writes the image IMAGE."""
+        for name, place in self.files:
+            (folder / name).symlink_to(place)
+        process = program.Process(folder, self.text + more, (*_FLAGS, *self.switches, *arguments), self.libraries, root)
+        process.names["scene.pov"] = str(self.file)
+        return process
+
+    def run(self, folder: Path, arguments: Sequence[str] = (), more: str = "") -> program.Result:
+        """`start`, to its end. Raises ValueError if POV-Ray fails, TimeoutError if it takes too long."""
+        result = self.start(folder, arguments, more).wait(self.timeout)
+        result.check(str(self.file))
+        return result
+
+
+def of_file(file: Path, libraries: Sequence[Path], switches: Sequence[str], timeout: float) -> Source:
+    """The scene in a file. Raises FileNotFoundError, or OSError if it cannot be read."""
+    if not file.exists():
+        raise FileNotFoundError(f"there is no scene file {file}")
+    try:
+        text = program.read_text(file)
+    except OSError as error:
+        raise OSError(f"the scene file {file} cannot be read: {error.strerror}") from error
+    folders = (file.absolute().parent, *(Path(os.path.abspath(folder)) for folder in libraries))
+    return Source(file, text, folders, tuple(switches), timeout)

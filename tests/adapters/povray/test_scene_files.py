@@ -1,0 +1,87 @@
+"""What belongs to a scene beside its text: options, INI files and included ones, photons, and the check of its camera.
+
+Exact, but where a test gives its false-alarm rate.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytestmark = pytest.mark.needs("povray", "OpenImageIO")
+
+SIZE = (48, 36)
+HALF = 2.0**-10  # relative rounding of half floats, truncated
+
+
+def test_options_reach_the_scene(povray: Any, make: Any, tmp_path: Path, plain_text: str, centres: Any) -> None:
+    """Declare, Clock, Library_Path and an INI file with a section; `image_width` is the picture's, not the batch's."""
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "blue.inc").write_text("#declare Blue = clock * image_width / 480;\n")
+    text = plain_text.replace(
+        "rgb <0.8, 0.5, 0.2> }", "rgb <Red, Green, Blue> } finish { emission 1 diffuse 0 ambient 0 }"
+    )
+    text = '#include "blue.inc"\n' + text
+    ini = tmp_path / "scene.ini"
+    ini.write_text(
+        "; a comment\nInput_File_Name=scene.pov\nWidth=48\n+H36 +A0.1\nOutput_File_Name=/nowhere.png\nDisplay=On\n"
+        "Library_Path=parts\n[bright]\nDeclare=Red=0.75 ; more\nClock=5\n[dark]\nDeclare=Red=0.25\n"
+    )
+    (tmp_path / "scene.pov").write_text(text)
+    camera = {"location": (0, 1, -5), "right": (4 / 3, 0, 0), "up": (0, 1, 0), "direction": (0, 0, 1)}
+    renderer = povray.PovRayRenderer(f"{ini}[bright]", camera=camera, options=["Declare=Green=0.125"])
+    try:
+        assert (renderer.width, renderer.height) == SIZE
+        middle = centres()[SIZE[0] * 18 + 24 :][:1]
+        np.testing.assert_allclose(renderer(middle), [[0.75, 0.125, 0.5]], rtol=2 * HALF)
+    finally:
+        renderer.close()
+
+
+def test_photons_are_shot_once(make: Any, own_image: Any, centres: Any, tmp_path: Path) -> None:
+    """Those that are loaded give the image that those that are shot give; they are found in an included file, too."""
+    settings = "global_settings { assumed_gamma 1.0 /* photons { } */ photons { count 3000 } }\n"
+    rest = """#version 3.7;
+camera { location <0, 1, -5> direction z right x*4/3 up y }
+light_source { <3, 6, 2> 1 }
+sphere { <0, 1, 0>, 1 pigment { rgbf 1 } interior { ior 1.5 } photons { target refraction on reflection off } }
+plane { y, 0 pigment { rgb 0.8 } }
+"""
+    (tmp_path / "settings.inc").write_text(settings)
+    renderer = make('#include "settings.inc"\n' + rest)
+    assert [name for name, _ in renderer._pool.source.files] == ["pmc_photons.ph"]
+    values = renderer(centres()).reshape(SIZE[1], SIZE[0], 3)
+    np.testing.assert_allclose(values, own_image(settings + rest, SIZE), rtol=2 * HALF, atol=1e-6)
+    without = own_image(rest.replace("#version 3.7;", "#version 3.7;global_settings{assumed_gamma 1}"), SIZE)
+    assert np.abs(without - values).max() > 0.1  # the negative control: photons make a difference
+    assert make(rest)._pool.source.files == ()
+
+
+def test_radiosity_is_computed_once(make: Any, own_image: Any, plain_text: str, centres: Any) -> None:
+    """What is loaded gives POV-Ray's own image within 2 % of its mean; without radiosity it is another by far."""
+    lit = plain_text.replace("assumed_gamma 1.0", "assumed_gamma 1.0 radiosity { count 60 error_bound 0.5 }")
+    lit = lit.replace("<3, 4, -5> 1 }", "<3, 4, -5> 1 } sky_sphere { pigment { rgb 1 } }")
+    renderer = make(lit)
+    assert "+RFI" in renderer._pool.source.switches
+    values = renderer(centres()).reshape(SIZE[1], SIZE[0], 3)
+    own = own_image(lit, SIZE)
+    assert np.abs(values - own).mean() < 0.02 * own.mean()
+    plain = make(lit.replace("radiosity { count 60 error_bound 0.5 }", ""))
+    assert plain._pool.source.switches == ()
+    assert np.abs(plain(centres()).reshape(own.shape) - own).mean() > 0.1 * own.mean()
+
+
+def test_the_check_knows_a_wrong_camera(povray: Any, clean: None, tmp_path: Path, noisy_text: str) -> None:
+    """It passes with the right one, and not with one that is turned by six degrees, on a scene with noise."""
+    from pmc_sampler.adapters.povray import check, source
+
+    file = tmp_path / "scene.pov"
+    file.write_text(noisy_text)
+    scene = source.of_file(file, (), (), 60)
+    right = {"location": (0, 1, -5), "right": (4 / 3, 0, 0), "up": (0, 1, 0)}
+    check.check(scene, povray.Camera("perspective", **right, direction=(0, 0, 1)), 64, 48)
+    with pytest.raises(ValueError, match=r"the camera found in .*scene.pov is not the one that POV-Ray uses"):
+        check.check(scene, povray.Camera("perspective", **right, direction=(0.1, 0, 1)), 64, 48)
