@@ -93,9 +93,6 @@ class Materials:
             )
         if thing.radiance is not None and max(thing.radiance) > 0.0 and material.kind in (*_GLASS, "plastic"):
             raise ValueError(f"{name} is a lamp of {material.kind}; for POV-Ray lamps are diffuse or conductors")
-        uvs = thing.uvs if isinstance(thing, Mesh) else None
-        if uvs is None and (material.color_texture is not None or getattr(thing, "radiance_texture", None) is not None):
-            raise ValueError(f"{name} has a texture and no texture coordinates; give it some or a plain colour")
         if material.color_texture is not None and material.kind == "metallic-roughness" and 0 < material.metallic < 1:
             raise ValueError(
                 f"{name} is {material.metallic:g} metallic and textured, which POV-Ray cannot mix; use 0 or 1"

@@ -363,7 +363,6 @@ def test_what_cannot_be_written_is_refused(parts: Any, tmp_path: Path) -> None:
         (scene({**diffuse, "vertex_colors": True}, {"colors": np.ones((4, 4), np.float32)}), "vertex colours"),
         (scene({"kind": "conductor", "cut_out": True}), "cut out"),
         (scene({"kind": "plastic"}, {"radiance": (1.0, 1.0, 1.0)}), "lamp of plastic"),
-        (scene({**diffuse, "color_texture": 0}, {"uvs": None}), "no texture coordinates"),
         (scene({"kind": "metallic-roughness", "color_texture": 0, "metallic": 0.5}), "0.5 metallic"),
         (scene(diffuse, environment=white, hide_emitters=True), "hides its emitters"),
         (replace(scene(diffuse), spheres=(shining,)), "shines inwards"),
