@@ -232,7 +232,8 @@ class Camera:
         lengths = np.linalg.norm(self.frame, axis=1)
         points = _columns(radius * np.cos(angle) / lengths[0], radius * np.sin(angle) / lengths[1], 0 * radius)
         step = 2.0 ** (np.ceil(np.log2(self.aperture / 4 / lengths[:2].min())) - 18)
-        return np.rint(points / step) * step
+        rounded: Array = np.rint(points / step) * step
+        return rounded
 
     def _fisheye(self, x: Array, y: Array) -> tuple[Array, Array, Array]:
         """The plane's points and their distance in radii of the circle."""

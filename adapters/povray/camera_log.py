@@ -190,11 +190,12 @@ class _Writer:
         if self._is(last, ",") and last > first:
             last -= 1
         parts = self._split(first, last) if token.text == "angle" else [(first, last)]
-        new, used = "", []
+        before, used = "", []
         for number, (a, b) in enumerate(parts):
-            new += f" #declare pmc_{number}=({self._code(a, b)})+<0,0,0>; "
+            before += f"#declare pmc_{number}=({self._code(a, b)})+<0,0,0>; "
             used.append(f"pmc_{number}.x" if token.text in _FLOATS else f"pmc_{number}")
-        new += _write(f'"item {token.text} "', ',"\t",'.join(_value(f"pmc_{n}") for n in range(len(parts))))
+        values = ',"\t",'.join(_value(f"pmc_{number}") for number in range(len(parts)))
+        new = _write(f'"item {token.text} "', values, before=before)
         self._new.append((token.start, self._tokens[after - 1].end, new + f"{token.text} {','.join(used)} "))
 
     def _split(self, first: int, last: int) -> list[tuple[int, int]]:
@@ -215,8 +216,12 @@ class _Writer:
         """A transformation becomes a variable; a function tells where it puts the origin and the axes."""
         points = ',"\t",'.join(_value(f"pmc_f({point})") for point in ("0,0,0", "1,0,0", "0,1,0", "0,0,1"))
         new = (
-            f" #declare pmc_t=transform{{{self._code(first, last)}}}"
-            + _write('"item matrix "', points, before="#declare pmc_f=function{transform{pmc_t}} ")
+            _write(
+                '"item matrix "',
+                points,
+                before=f"#declare pmc_t=transform{{{self._code(first, last)}}} "
+                "#declare pmc_f=function{transform{pmc_t}} ",
+            )
             + "#undef pmc_f transform{pmc_t} "
         )
         self._new.append((self._tokens[first].start, self._tokens[last].end, new))

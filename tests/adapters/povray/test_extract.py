@@ -155,24 +155,31 @@ def test_included_cameras(source_of: Any, extract: Any, tmp_path: Path) -> None:
     assert sorted(path.name for path in folder.rglob("*")) == ["first.inc", "scène.pov", "second.inc", "sub"]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("sphere { 0, 1 }", "has no camera that could be found; add one"),
-        ("camera { normal { bumps 1 } }", "has a normal, which only POV-Ray itself can follow"),
-        ("camera { mesh_camera { 1 1 mesh { triangle { 0, x, y } } } }", "has the type mesh_camera"),
-        ("\n\ncamera { location 1\n angle 400 }", r"scène\.pov' line 4: Parse Error: Viewing angle has to be smaller"),
-        ("camera { location 1\n look_at 2 } camera {\n location Nowhere }", r"scène\.pov' line 3.*'Nowhere'"),
-        ("camera { location 1 look_at 1 }", "Camera location and look_at point must be different"),
-        ("camera { location 1 } #if (0)", r"scène\.pov' .*#end expected"),
-        ("camera { location 1 } /*", r"scène\.pov' .*omment"),
-        ("#macro Rest() location 1 angle 40 #end camera { Rest() }", "is written in a way that cannot be followed"),
-        ("camera { orthographic aperture 1 blur_samples 4 }", "leave out the aperture"),
-    ],
-)
-def test_errors_are_sentences(text: str, message: str, source_of: Any, extract: Any) -> None:
-    with pytest.raises(ValueError, match=message):
-        extract(source_of(text), W, H)
+ERRORS = {
+    "sphere { 0, 1 }": "has no camera that could be found; add one",
+    "camera { normal { bumps 1 } }": "has a normal, which only POV-Ray itself can follow",
+    "camera { mesh_camera { 1 1 mesh { triangle { 0, x, y } } } }": "has the type mesh_camera",
+    "\n\ncamera { location 1\n angle 400 }": r"scène\.pov' line 4: Parse Error: Viewing angle has to be smaller",
+    "camera { location 1\n look_at 2 } camera {\n location Nowhere }": r"scène\.pov' line 3.*'Nowhere'",
+    "camera { location 1 look_at 1 }": "Camera location and look_at point must be different",
+    "camera { location 1 } #if (0)": r"scène\.pov' .*#end expected",
+    "camera { location 1 } /*": r"scène\.pov' .*omment",
+    "#macro Rest() location 1 angle 40 #end camera { Rest() }": "is written in a way that cannot be followed",
+    "camera { orthographic aperture 1 blur_samples 4 }": "leave out the aperture",
+}
+
+
+@pytest.fixture(scope="module")
+def refused(source_of: Any, extract: Any) -> Iterator[dict[str, Any]]:
+    """The cameras of scenes that have none, under way, several at once."""
+    with ThreadPoolExecutor(8) as pool:
+        yield {text: pool.submit(extract, source_of(text), W, H) for text in ERRORS}
+
+
+@pytest.mark.parametrize("text", ERRORS)
+def test_errors_are_sentences(text: str, refused: Any) -> None:
+    with pytest.raises(ValueError, match=ERRORS[text]):
+        refused[text].result()
 
 
 def test_endless_scene(source_of: Any, extract: Any) -> None:
