@@ -18,6 +18,8 @@ WRAPS = ("repeat", "mirror", "clamp")
 
 def check(scene: Scene) -> None:
     """Raises ValueError for what cannot be rendered."""
+    from . import scene as scenes  # which imports this module
+
     _check_camera(scene.camera)
     if not (scene.max_depth == -1 or scene.max_depth >= 0) or scene.rr_depth < 1:
         raise ValueError(
@@ -44,7 +46,7 @@ def check(scene: Scene) -> None:
             raise ValueError(f"{sphere.name} has a texture, and spheres have no texture coordinates: make it a mesh")
         _radiance(sphere.radiance, sphere.name)
     for light in scene.lights:
-        if hasattr(light, "intensity"):
+        if isinstance(light, scenes.PointLight):
             _finite(np.array(light.position), "a point light's position")
             _radiance(light.intensity, "a point light")
         else:

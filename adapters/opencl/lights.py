@@ -134,7 +134,7 @@ def _probabilities(powers: NDArray[np.float64]) -> NDArray[np.float64]:
         weights = np.where(infinite, 0.0, 1.0)
     weights = np.where(infinite, 0.0, np.maximum(weights, 1e-6 * weights.max()))
     weights[infinite] = weights.sum() or 1.0
-    return weights / weights.sum()
+    return np.asarray(weights / weights.sum())
 
 
 def _environment(environment: Environment, macros: dict[str, Any], arrays: dict[str, NDArray[Any]]) -> None:
