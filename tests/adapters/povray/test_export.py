@@ -226,6 +226,7 @@ def test_rectangular_lamps_light(parts: Any, povray: Any, tilt: float) -> None:
     assert dark.mean() < 0.1 * theirs.mean()
 
 
+@pytest.mark.long
 def test_lamps_of_other_shapes_light(parts: Any, povray: Any) -> None:
     """3 % of the image's mean: a ball, and a fan of triangles that are no parallelograms, with a texture on one."""
     fan = np.concatenate([[[0, 0, 0]], [[np.cos(a), 0, np.sin(a)] for a in np.arange(7) * (2 * np.pi / 7)]])
@@ -266,6 +267,7 @@ def test_the_sky_is_seen(parts: Any, povray: Any) -> None:
     assert agreeing(ours, theirs[:, ::-1], 0.01) < 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mapped", [False, True])
 def test_the_sky_lights(parts: Any, povray: Any, mapped: bool) -> None:
     """3 % of the image's mean; without its lights nothing is lit."""
@@ -278,6 +280,7 @@ def test_the_sky_lights(parts: Any, povray: Any, mapped: bool) -> None:
         assert povray(scene, sky=0).max() == 0.0
 
 
+@pytest.mark.long
 def test_materials_under_a_white_sky(parts: Any, povray: Any) -> None:
     """In the mean over each ball, the tracer's within the bound of each kind, and glass gone.
 
@@ -309,6 +312,7 @@ def test_materials_under_a_white_sky(parts: Any, povray: Any) -> None:
     assert np.abs(means[0, 0] - 1.0).max() < 0.003
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["cornell-box", "cornell-box-mirrors", "materials", "thin-lens"])
 @pytest.mark.needs("mitsuba")
 def test_built_in_scenes_are_rendered(povray: Any, name: str) -> None:
