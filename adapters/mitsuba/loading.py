@@ -14,10 +14,10 @@ from typing import Any
 import mitsuba as mi
 
 from ... import scenes
+from ..inputs import check_size
 
 __all__ = [
     "check_film",
-    "check_size",
     "files_beside",
     "filter_of",
     "guarded",
@@ -184,16 +184,6 @@ def files_beside(scene: Any) -> Iterator[None]:
         yield
     finally:
         mi.set_file_resolver(before)
-
-
-def check_size(size: Any) -> None:
-    """Raises ValueError for what is no (width, height) in whole pixels."""
-    try:
-        good = len(size) == 2 and all(side == int(side) and side >= 1 for side in size)
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        raise ValueError(f"a size is (width, height) in whole pixels, at least 1 by 1, not {size!r}")
 
 
 def resize(parsed: Any, size: tuple[int, int]) -> None:

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inputs import samples_of
 from . import blocks, loading, variants
 from .rays import Evaluator
 from .samplers import KINDS
@@ -133,13 +134,7 @@ class MitsubaRenderer:
 
         Raises TypeError for what is no batch.
         """
-        try:
-            positions, scramble, index = batch.positions, batch.scramble, batch.index
-        except AttributeError:
-            raise TypeError(
-                "a MitsubaRenderer is called with a Batch (positions, scramble and index of each sample), "
-                f"not with {type(batch).__name__}"
-            ) from None
+        positions, scramble, index = samples_of(batch, "a MitsubaRenderer")
         out = np.empty((len(positions), 3 + self.aovs), np.float32)
         if len(out) == 0:
             return out

@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inputs import check_size
 from .gltf_file import Document
 from .gltf_materials import Materials
 from .gltf_meshes import Meshes
@@ -58,7 +59,7 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
     """
     file = Path(file)
     if size is not None:
-        _check_size(size)
+        check_size(size)
     try:
         with np.errstate(all="ignore"):  # what is not finite is refused when all is there
             return _scene(Document(file), size)
@@ -193,12 +194,3 @@ def _lights(document: Document, nodes: list[Placed]) -> Lights:
         else:
             raise ValueError(f"{label} is of the type {kind!r}: expected point, directional or spot")
     return tuple(found)
-
-
-def _check_size(size: Any) -> None:
-    try:
-        good = len(size) == 2 and all(side == int(side) and side >= 1 for side in size)
-    except (TypeError, ValueError):
-        good = False
-    if not good:
-        raise ValueError(f"a size is (width, height) in whole pixels, at least 1 by 1, not {size!r}")

@@ -21,6 +21,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inputs import check_size
 from ..mitsuba import loading, variants
 from .mitsuba_materials import Image, Materials, image
 from .mitsuba_nodes import Node, matrix, rgb, value
@@ -62,7 +63,7 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
     """
     file = loading.scene_file(file)
     if size is not None:
-        loading.check_size(size)
+        check_size(size)
     with variants.active(_VARIANT), loading.files_beside(file):
         config = mi.parser.ParserConfig(_VARIANT)
         config.merge_meshes = config.merge_equivalent = False  # shapes stay those of the file

@@ -12,6 +12,7 @@ import numpy as np
 import pyopencl as cl
 from numpy.typing import NDArray
 
+from ..inputs import samples_of
 from . import devices, memory, program
 from .load import scene_of
 from .scene import Scene
@@ -135,13 +136,7 @@ class OpenCLRenderer:
 
         Raises TypeError for what is no batch, MemoryError if the device has no memory for it.
         """
-        try:
-            positions, scramble, index = batch.positions, batch.scramble, batch.index
-        except AttributeError:
-            raise TypeError(
-                "an OpenCLRenderer is called with a Batch (positions, scramble and index of each sample), "
-                f"not with {type(batch).__name__}"
-            ) from None
+        positions, scramble, index = samples_of(batch, "an OpenCLRenderer")
         inputs = (
             np.ascontiguousarray(positions, np.float32),
             np.ascontiguousarray(scramble, np.uint32),

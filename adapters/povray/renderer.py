@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inputs import check_size
 from . import check as checks
 from . import images, numbers, options, program, source
 from .camera import Camera
@@ -114,7 +115,7 @@ class PovRayRenderer:
         self._filter: dict[str, Any] = {"filter": "box", "filter_radius": 0.5}
         file, given, size = self._named(scene, size, options, radiosity, photons)
         self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
-        _check_size(self.width, self.height)
+        check_size((self.width, self.height))
         made = source.of_file(file, given.libraries, given.switches, timeout)
         made = with_photons_saved(made, self._folder)
         made = with_radiosity_saved(made, self.width, self.height, self._folder)
@@ -228,11 +229,6 @@ def _camera(given: Camera | Mapping[str, Any]) -> Camera:
             "a camera is a Camera, or a mapping with location, right, up, direction and what else a Camera has "
             f"({str(error).partition(') ')[2] or error})"
         ) from None
-
-
-def _check_size(width: Any, height: Any) -> None:
-    if not all(int(side) == side and side >= 1 for side in (width, height)):
-        raise ValueError(f"a size is (width, height) in whole pixels, at least 1 by 1, not {(width, height)!r}")
 
 
 def _processors() -> int:

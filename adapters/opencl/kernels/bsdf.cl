@@ -115,6 +115,12 @@ INLINE float3 evaluate(const Bsdf* b, float3 wi, float3 wo, float* density) {
     return (float3)(0.0f);
 }
 
+// The weight of a direction whose density is set.
+INLINE void weigh(Scattered* r, float3 value) {
+    r->valid = r->density > 0.0f;
+    r->weight = r->valid ? value / r->density : value;
+}
+
 // Draws where the path goes on; `lobe` chooses among kinds of scattering.
 INLINE Scattered scatter(const Bsdf* b, float3 wi, float u, float v, float lobe) {
     Scattered r;
@@ -180,9 +186,7 @@ INLINE Scattered scatter(const Bsdf* b, float3 wi, float u, float v, float lobe)
         if (wi.z <= 0.0f) break;
         const float3 m = ggx_normal(wi, b->rows[TRANSMITTANCE_ALPHA].w, u, v);
         r.wo = 2.0f * inner(wi, m) * m - wi;
-        const float3 value = evaluate(b, wi, r.wo, &r.density);
-        r.valid = r.density > 0.0f;
-        r.weight = r.valid ? value / r.density : value;
+        weigh(&r, evaluate(b, wi, r.wo, &r.density));
         break;
     }
 #endif
@@ -196,9 +200,7 @@ INLINE Scattered scatter(const Bsdf* b, float3 wi, float u, float v, float lobe)
         r.wo = reflects ? 2.0f * i_m * m - wi : m * (i_m * eta_ti + cos_t) - wi * eta_ti;
         if (!reflects) r.eta = 1.0f / eta_ti;
         if (r.wo.z * wi.z * (reflects ? 1.0f : -1.0f) <= 0.0f) break;
-        const float3 value = evaluate(b, wi, r.wo, &r.density);
-        r.valid = r.density > 0.0f;
-        r.weight = r.valid ? value / r.density : value;
+        weigh(&r, evaluate(b, wi, r.wo, &r.density));
         break;
     }
 #endif
@@ -206,9 +208,7 @@ INLINE Scattered scatter(const Bsdf* b, float3 wi, float u, float v, float lobe)
     case METALLIC_ROUGHNESS: {
         if (wi.z == 0.0f || (wi.z < 0.0f && b->metallic.transmission == 0.0f)) break;
         r.wo = metallic_direction(&b->metallic, b->color, wi, u, v, lobe, &r.eta);
-        const float3 value = metallic_evaluate(&b->metallic, b->color, wi, r.wo, &r.density);
-        r.valid = r.density > 0.0f;
-        r.weight = r.valid ? value / r.density : value;
+        weigh(&r, metallic_evaluate(&b->metallic, b->color, wi, r.wo, &r.density));
         break;
     }
 #endif
