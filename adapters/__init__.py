@@ -4,7 +4,9 @@ A renderer is a class in the entry-point group `pmc_sampler.renderers`, made fro
 instances have `width` and `height`, and are called with a `Batch` for the radiance of its samples, shape (n,
 3 + aovs), float32, linear RGB. A class method `probe()`, if it has one, returns a line about what it runs on,
 or raises RuntimeError with what is missing; a class method `version()`, if it has one, names what its images
-depend on. Those of the project are found without an entry point, too.
+depend on; a method `native(**settings)`, if its instances have one, renders the whole image by a way of its own
+to choose samples, for comparison, and returns `mean`, `samples` and `seconds`. Those of the project are found
+without an entry point, too.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from dataclasses import dataclass
 from importlib import metadata
 from typing import Any
 
-__all__ = ["Availability", "available", "load", "names", "version"]
+__all__ = ["Availability", "available", "load", "names", "native_settings", "version"]
 
 GROUP = "pmc_sampler.renderers"
 _OWN = {  # module within this package, class
@@ -56,6 +58,17 @@ def load(renderer: str, scene: Any, **options: Any) -> Any:
     kind = _found(renderer)
     _check_options(renderer, kind, options)
     return kind(scene, **options)
+
+
+def native_settings(renderer: str) -> list[str]:
+    """The names of the settings of a renderer's own sampling, its method `native`.
+
+    Raises ValueError for a renderer that has none, and as `load`.
+    """
+    method = getattr(_found(renderer), "native", None)
+    if method is None:
+        raise ValueError(f"the renderer {renderer!r} has no sampling of its own to compare with")
+    return [name for name in inspect.signature(method).parameters if name != "self"]
 
 
 def available() -> list[Availability]:

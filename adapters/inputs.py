@@ -2,9 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
-__all__ = ["check_size", "samples_of"]
+__all__ = ["check_positive", "check_size", "check_whole", "samples_of"]
+
+
+def check_whole(name: str, value: Any, low: int, high: int) -> None:
+    """Raises ValueError for what is no whole number from `low` to `high`."""
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise ValueError(f"{name} is {value!r}: expected a whole number from {low} to {high}")
+
+
+def check_positive(name: str, value: Any) -> None:
+    """Raises ValueError for what is no finite number above 0."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not (value > 0 and math.isfinite(value)):
+        raise ValueError(f"{name} is {value!r}: expected a number above 0")
 
 
 def check_size(size: Any) -> None:

@@ -102,6 +102,24 @@ class Camera:
         return self.aperture > 0
 
     @property
+    def statement(self) -> str:
+        """The `camera` statement, in SDL. Raises ValueError for a lens, whose number of samples it does not know."""
+        if self.has_lens:
+            raise ValueError(
+                "a camera given with an aperture is for the sampler alone: POV-Ray's own focal blur needs blur_samples "
+                "in the scene's camera"
+            )
+        kind = f"cylinder {self.cylinder}" if self.kind == "cylinder" else self.kind
+        angles = [angle for angle in (self.angle, self.vertical_angle) if angle is not None]
+        if angles and self.kind in _ANGLES:
+            kind += " angle " + " ".join(f"{angle:.17g}" for angle in angles)
+        vectors = (
+            f"{name} <{', '.join(f'{x:.17g}' for x in getattr(self, name))}>"
+            for name in ("location", "right", "up", "direction")
+        )
+        return f"\ncamera {{ {kind} {' '.join(vectors)} }}\n"
+
+    @property
     def _spread(self) -> bool:
         """Whether rays begin in different places."""
         return self.kind == "orthographic" or (self.kind == "cylinder" and self.cylinder > 2)

@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..inputs import check_whole
 from ..opencl.scene import Camera, DirectionalLight, Environment, Mesh, Scene, Sphere
 from .export_lights import lights
 from .export_materials import Materials, Surface
@@ -82,10 +83,10 @@ def export(
     OSError
         If a file cannot be written.
     """
-    _check_range("patches", patches, 1, 64)
-    _check_range("sky", sky, 0, 4096)
-    _check_range("photons", photons, 0, 1 << 31)
-    _check_range("blur_samples", blur_samples, 1, 1 << 20)
+    check_whole("patches", patches, 1, 64)
+    check_whole("sky", sky, 0, 4096)
+    check_whole("photons", photons, 0, 1 << 31)
+    check_whole("blur_samples", blur_samples, 1, 1 << 20)
     if scene.hide_emitters and scene.environment is not None:
         raise ValueError("the scene hides its emitters from the camera, which POV-Ray cannot do for an environment")
     folder.mkdir(parents=True, exist_ok=True)
@@ -124,11 +125,6 @@ def camera(camera: Camera, blur_samples: int) -> str:
             f"blur_samples {blur_samples} variance 0"
         )
     return text + " }"
-
-
-def _check_range(name: str, value: int, low: int, high: int) -> None:
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value}: expected {low} to {high}")
 
 
 def _exactly(values: NDArray[Any]) -> str:

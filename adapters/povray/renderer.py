@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..inputs import check_size
+from ..inputs import check_positive, check_size, check_whole
 from . import check as checks
-from . import images, numbers, options, program, source
+from . import images, native, numbers, options, program, source
 from .camera import Camera
 from .extract import extract
 from .prepare import sized, with_photons_saved, with_radiosity_saved
@@ -103,10 +103,9 @@ class PovRayRenderer:
     ) -> None:
         if sampler not in numbers.SAMPLERS:
             raise ValueError(f"a sampler is {' or '.join(map(repr, numbers.SAMPLERS))}, not {sampler!r}")
-        if not timeout > 0:
-            raise ValueError(f"a timeout is a number of seconds above 0, not {timeout!r}")
-        if processes is not None and not (isinstance(processes, int) and processes >= 1):
-            raise ValueError(f"processes are a whole number from 1, not {processes!r}")
+        check_positive("timeout", timeout)
+        if processes is not None:
+            check_whole("processes", processes, 1, 1024)
         program.find()
         self.sampler = sampler
         self._lock = threading.Lock()
@@ -116,11 +115,12 @@ class PovRayRenderer:
         file, given, size = self._named(scene, size, options, radiosity, photons)
         self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
         check_size((self.width, self.height))
-        made = source.of_file(file, given.libraries, given.switches, timeout)
-        made = with_photons_saved(made, self._folder)
+        self._source = source.of_file(file, given.libraries, given.switches, timeout)
+        made = with_photons_saved(self._source, self._folder)
         made = with_radiosity_saved(made, self.width, self.height, self._folder)
         self.scene = file
         self.camera = _camera(camera) if camera is not None else _found(made, self.width, self.height, check)
+        self._own_camera = camera is None
         self.clamped = 0
         self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or 2 * _processors())
 
@@ -151,6 +151,31 @@ class PovRayRenderer:
 
     def __repr__(self) -> str:
         return f"PovRayRenderer({self.scene}, {self.width}x{self.height}, {self.camera.kind}, {self.sampler})"
+
+    def native(
+        self,
+        *,
+        antialiasing: int = 2,
+        depth: int = 3,
+        threshold: float = 0.3,
+        jitter: bool = True,
+        threads: int | None = None,
+    ) -> native.Native:
+        """The image by POV-Ray's own anti-aliasing, with the same camera and options; see `native.render`.
+
+        Photons and radiosity are computed within it, as POV-Ray does by itself. Raises as `native.render`, and
+        ValueError where a camera with a lens was given.
+        """
+        return native.render(
+            self._source,
+            (self.width, self.height),
+            antialiasing=antialiasing,
+            depth=depth,
+            threshold=threshold,
+            jitter=jitter,
+            threads=threads,
+            camera="" if self._own_camera else self.camera.statement,
+        )
 
     def close(self) -> None:
         """Ends the processes that wait for the next batch; happens by itself when the object goes, or Python ends."""

@@ -5,7 +5,7 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
-from .arguments import parser
+from .arguments import parse
 from .errors import CommandError
 
 __all__ = ["main"]
@@ -16,7 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     ``arguments`` are the words after the program's name; by default those the process was started with.
     """
-    options = parser().parse_args(arguments)
+    options = parse(arguments)
     try:
         return _run(options.command)(options)
     except CommandError as error:

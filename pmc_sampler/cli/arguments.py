@@ -3,12 +3,17 @@
 import argparse
 import math
 import re
+import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from pmc_sampler import __version__
 
-METHODS = ("pmc", "pmc-paper", "pt")
+from . import optional
+
+NATIVE = "native"
+METHODS = ("pmc", "pmc-paper", "pt", NATIVE)
 DEFAULT_RENDERER = "opencl"
 RENDERERS = {".pov": "povray", ".ini": "povray"}  # of files that one renderer alone reads
 DEFAULT_SPP = 64
@@ -42,7 +47,20 @@ def parser() -> argparse.ArgumentParser:
     return top
 
 
+def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
+    """What was asked for. Words after ``--`` are a renderer's own, such as POV-Ray's ``+K0.5``: ``own_options``."""
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    end = words.index("--") if "--" in words else len(words)
+    top = parser()
+    options = top.parse_args(words[:end])
+    options.own_options = words[end + 1 :]
+    if options.own_options and options.command != "render":
+        top.error(f"{options.command} takes no options of a renderer: {words[end + 1]!r}")
+    return options
+
+
 def _render(p: argparse.ArgumentParser) -> None:
+    p.usage = "%(prog)s SCENE [options] [-- RENDERER'S OWN OPTIONS]"
     p.add_argument("scene", metavar="SCENE", help="a built-in scene's name or a scene file")
     p.add_argument(
         "--renderer",
@@ -53,7 +71,8 @@ def _render(p: argparse.ArgumentParser) -> None:
         "--method",
         choices=METHODS,
         default="pmc",
-        help="pmc: the default sampler; pmc-paper: the paper's parameters; pt: uniform path tracing",
+        help="pmc: the default sampler; pmc-paper: the paper's parameters; pt: uniform path tracing; native: the "
+        "renderer's own anti-aliasing, for comparison (povray)",
     )
     p.add_argument(
         "--sampler",
@@ -65,6 +84,15 @@ def _render(p: argparse.ArgumentParser) -> None:
         "--device",
         metavar="NAME",
         help="OpenCL device: part of its name, or its number in `renderers`; default: $PMC_SAMPLER_DEVICE or the best",
+    )
+    p.add_argument(
+        "--set",
+        type=setting,
+        action="append",
+        default=[],
+        metavar="NAME=VALUE",
+        dest="settings",
+        help="an option of the renderer, or of its own anti-aliasing; VALUE as in TOML, or a bare word; may be repeated",
     )
     p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
     p.add_argument(
@@ -139,6 +167,18 @@ def share(text: str) -> float:
     if not 0.0 <= number <= 1.0:
         raise argparse.ArgumentTypeError(f"{text!r} is not a share from 0 to 1")
     return number
+
+
+def setting(text: str) -> tuple[str, Any]:
+    """``NAME=VALUE`` as a name and a value of TOML; what is none, such as a bare word, is a string."""
+    name, equals, value = text.partition("=")
+    if not equals or not name.isidentifier():
+        raise argparse.ArgumentTypeError(f"{text!r} is no setting; give a name and a value as in timeout=60")
+    toml = optional.toml()
+    try:
+        return name, toml.loads(f"value = {value}")["value"]
+    except toml.TOMLDecodeError:
+        return name, value
 
 
 def seed(text: str) -> int:

@@ -12,6 +12,7 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pmc_sampler import Sampler, __version__
 
@@ -39,7 +40,7 @@ class Output:
     def write(self, sampler: Sampler, radiance: Any, seconds: Mapping[str, float], done: str | None) -> dict[str, Any]:
         """Write both files; returns the summary of the render."""
         summary = {
-            **{name: getattr(self._options, name) for name in ("scene", "renderer", "method", "sampler", "seed")},
+            **self._asked("seed"),
             **{name: getattr(sampler, name) for name in ("width", "height", "samples", "spp", "rejected")},
             "visible_noise": sampler.visible_noise,
             "seconds": dict(seconds),
@@ -50,9 +51,44 @@ class Output:
         if sampler.aovs:
             aovs = film.aovs
             layers |= {name: aovs[..., channel] for channel, name in enumerate(radiance.aov_names)}
+        settings = {"config": sampler.config.to_dict(), "budget": vars(sampler.budget)}
+        return self._save(film.mean, layers, summary, settings)
+
+    def write_native(self, made: Any, settings: Mapping[str, Any]) -> dict[str, Any]:
+        """Write what a renderer made by itself, with `settings` of its own; returns the summary."""
+        height, width = made.mean.shape[:2]
+        summary = {
+            **self._asked(),
+            "width": width,
+            "height": height,
+            "samples": made.samples,
+            "spp": made.samples / (width * height),
+            "rejected": 0,
+            "visible_noise": math.nan,
+            "seconds": {"total": made.seconds, "renderer": made.seconds, "sampler": 0.0},
+            "done": "native",
+        }
+        return self._save(made.mean, {}, summary, {"native": dict(settings)})
+
+    def _asked(self, *more: str) -> dict[str, Any]:
+        return {name: getattr(self._options, name) for name in ("scene", "renderer", "method", "sampler", *more)}
+
+    def _save(
+        self,
+        image: NDArray[np.float32],
+        layers: Mapping[str, Any],
+        summary: Mapping[str, Any],
+        settings: Mapping[str, Mapping[str, Any]],
+    ) -> dict[str, Any]:
+        given = {
+            "device": self._options.device,
+            "set": dict(self._options.settings),
+            "own": self._options.own_options,
+        }
+        metadata = _metadata(summary, {**settings, "renderer_options": given})
         try:
-            self._images.write_exr(self.exr, film.mean, layers, _metadata(sampler, summary))
-            self._images.write_png(self.png, film.mean)
+            self._images.write_exr(self.exr, image, layers, metadata)
+            self._images.write_png(self.png, image)
         except self._images.ImageError as error:
             raise CommandError(str(error), status=1) from error
         return {**summary, "output": str(self.exr), "preview": str(self.png)}
@@ -60,27 +96,26 @@ class Output:
 
 def report(summary: Mapping[str, Any], as_json: bool) -> None:
     """Print the summary to standard output, in words or as one JSON object."""
+    noise = summary["visible_noise"]
     if as_json:
-        noise = summary["visible_noise"]
         print(json.dumps({**summary, "visible_noise": noise if math.isfinite(noise) else None}, indent=2))
         return
     seconds = summary["seconds"]
     print(
         f"{summary['scene']} at {summary['width']}x{summary['height']} by {summary['method']}: "
         f"{summary['spp']:.4g} samples per pixel in {seconds['total']:.2f} s "
-        f"(renderer {seconds['renderer']:.2f} s, sampler {seconds['sampler']:.2f} s); "
-        f"visible noise in {summary['visible_noise']:.1%} of the pixels."
+        f"(renderer {seconds['renderer']:.2f} s, sampler {seconds['sampler']:.2f} s)"
+        + (f"; visible noise in {noise:.1%} of the pixels." if math.isfinite(noise) else ".")
     )
     if summary["rejected"]:
         print(f"{summary['rejected']} samples were rejected as not finite or negative.")
     print(f"{summary['output']} and {summary['preview']} are written.")
 
 
-def _metadata(sampler: Sampler, summary: Mapping[str, Any]) -> dict[str, Any]:
+def _metadata(summary: Mapping[str, Any], settings: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
     metadata = {f"pmc:{name}": value for name, value in summary.items() if name != "seconds"}
     metadata |= {f"pmc:seconds.{part}": value for part, value in summary["seconds"].items()}
-    metadata["pmc:config"] = json.dumps(sampler.config.to_dict())
-    metadata["pmc:budget"] = json.dumps(vars(sampler.budget))
+    metadata |= {f"pmc:{name}": json.dumps(values) for name, values in settings.items()}
     metadata["pmc:versions"] = json.dumps(_versions(summary["renderer"]))
     metadata["Software"] = f"pmc_sampler {__version__}"
     return metadata

@@ -2,7 +2,6 @@
 
 import argparse
 import hashlib
-import importlib
 import signal
 import sys
 import time
@@ -17,11 +16,13 @@ from pmc_sampler import Sampler
 from pmc_sampler.sampler import sampler_for
 
 from . import settings
-from .arguments import renderer_for
+from .arguments import NATIVE, renderer_for
 from .checkpoint import Checkpoint
 from .errors import CommandError
+from .native import native
 from .output import Output, report
 from .progress import Report, progress
+from .renderer import load_renderer
 
 CHECKPOINT_SECONDS = 60.0
 INTERRUPTED = 130
@@ -45,6 +46,8 @@ class Job:
 def render(options: argparse.Namespace) -> int:
     """Render, write and report; returns the exit status."""
     options.renderer = options.renderer or renderer_for(options.scene)
+    if options.method == NATIVE:
+        return native(options)
     output = Output(options)
     with (
         _stop_asked() as asked
@@ -89,18 +92,14 @@ def _keep(job: Job) -> str:
 def _job(options: argparse.Namespace) -> Job:
     budget = settings.budget(options)
     settings.config(options.method, options.config)  # a mistake in it shows before the scene is loaded
-    try:
-        adapters = importlib.import_module("pmc_sampler.adapters")
-        chosen = {} if options.device is None else {"device": options.device}
-        radiance = adapters.load(options.renderer, options.scene, sampler=options.sampler, size=options.size, **chosen)
-    except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:
-        raise CommandError(" ".join(str(error).split())) from error
+    radiance = load_renderer(options, dict(options.settings))
     config = settings.config(options.method, options.config, radiance)
     checkpoint = None
     if options.checkpoint is not None:
         identity = {
             **{name: getattr(options, name) for name in ("scene", "renderer", "sampler", "seed")},
             "contents of the scene": _contents(options.scene),
+            "settings of the renderer": [options.device, options.settings, options.own_options],
             "size": [radiance.width, radiance.height],
             "budget": vars(budget),
             "config": config.to_dict(),

@@ -1,7 +1,6 @@
 """From what was typed to the sampler's settings: method, file of settings, budget."""
 
 import argparse
-import importlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -9,6 +8,7 @@ from typing import Any
 from pmc_sampler import Budget, Config
 from pmc_sampler.sampler import config_for
 
+from . import optional
 from .arguments import DEFAULT_SPP
 from .errors import CommandError
 
@@ -39,13 +39,7 @@ def budget(options: argparse.Namespace) -> Budget:
 
 
 def _read(file: Path) -> Mapping[str, Any]:
-    try:
-        toml = importlib.import_module("tomllib")
-    except ModuleNotFoundError:  # Python 3.10
-        try:
-            toml = importlib.import_module("tomli")
-        except ImportError as error:
-            raise CommandError("--config needs tomli on Python 3.10: pip install 'pmc-sampler[cli]'.") from error
+    toml = optional.toml()
     try:
         text = file.read_text(encoding="utf-8")
     except OSError as error:

@@ -81,6 +81,7 @@ def trace(opencl: Any, scene: Any, sampler: str, paths: int) -> None:
         assert np.isfinite(radiance).all(), np.flatnonzero(~np.isfinite(radiance).all(axis=1))[:5]
         assert (radiance >= 0.0).all()
         bright += float(radiance.mean(dtype=np.float64))
+        print(f"{(number + 1) * step:.2g} paths", flush=True)  # seen with `pytest -s`
     assert bright > 0.0
 
 

@@ -98,6 +98,15 @@ def test_rays_are_those_of_povray(words: str, left: bool, own: Any, camera_of: A
         assert 0 < seen.sum() < len(seen)
 
 
+def test_statements_are_those_of_the_cameras(own: Any, own_image: Any, camera_of: Any) -> None:
+    """Exact: POV-Ray makes the same image of a camera's statement as of the words that it came from."""
+    cases = CASES[1::4]
+    with ThreadPoolExecutor(8) as pool:
+        texts = [BALL + camera_of(left, **KINDS[words]).statement for words, left in cases]
+        for case, image in zip(cases, pool.map(lambda text: own_image(text, (W, H)), texts), strict=True):
+            np.testing.assert_array_equal(image[..., :3].reshape(-1, 3), own[case])
+
+
 def test_another_angle_is_noticed(own: Any, camera_of: Any) -> None:
     """The comparison above fails for an angle that is 1 % too wide: its negative control."""
     camera = camera_of(kind="cylinder", cylinder=1, angle=252.5)

@@ -35,13 +35,14 @@ def parts(require: Callable[[str], Any]) -> Any:
 @pytest.fixture
 def povray(tmp_path: Path) -> Callable[..., Array]:
     """A function from a scene to POV-Ray's image; settings are those of `export` and of `native.render`."""
-    from pmc_sampler.adapters.povray import native
+    from pmc_sampler.adapters.povray import native, source
     from pmc_sampler.adapters.povray.export import export
 
-    def render(scene: Any, method: int | None = None, depth: int = 3, **settings: Any) -> Array:
+    def render(scene: Any, method: int = 0, depth: int = 3, **settings: Any) -> Array:
         file = export(scene, tmp_path / "exported", **settings)
         size = (scene.camera.width, scene.camera.height)
-        return native.render(file, size, method=method, depth=depth, threshold=0.0, jitter=False, threads=1)[0]
+        made = source.of_file(file, (), (), 600.0)
+        return native.render(made, size, antialiasing=method, depth=depth, threshold=0.0, jitter=False, threads=1).mean
 
     return render
 

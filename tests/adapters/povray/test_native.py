@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -28,60 +29,95 @@ def scene(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def native() -> Any:
-    from pmc_sampler.adapters.povray import native
+def native(povray: Any) -> Callable[..., Any]:
+    """A function that renders a scene file by POV-Ray's own anti-aliasing."""
+    from pmc_sampler.adapters.povray import native, source
 
-    return native
+    def render(file: Path, size: tuple[int, int], switches: tuple[str, ...] = (), **settings: Any) -> Any:
+        timeout = settings.pop("timeout", 60.0)
+        return native.render(source.of_file(file, (), switches, timeout), size, **settings)
+
+    return render
 
 
-@pytest.mark.parametrize(("method", "depth"), [(None, 3), (1, 4), (2, 3)])
-def test_edges_are_smoothed(native: Any, scene: Path, method: int | None, depth: int) -> None:
-    """The edge is met to one step of the grid, and not at all without anti-aliasing."""
-    image, seconds = native.render(scene, (10, 4), method=method, depth=depth, jitter=False, threads=1)
+@pytest.mark.parametrize(("method", "depth"), [(0, 3), (1, 4), (2, 3)])
+def test_edges_are_smoothed(native: Any, scene: Path, method: int, depth: int) -> None:
+    """The edge is met to one step of the grid, and not at all without anti-aliasing; the rays are counted."""
+    made = native(scene, (10, 4), antialiasing=method, depth=depth, jitter=False, threads=1)
+    image = made.mean
     assert image.shape == (4, 10, 3)
     assert image.dtype == np.float32
     assert (image[:, :6] == 1.0).all()
     assert (image[:, 7:] == 0.0).all()
-    if method is None:
+    assert made.samples == 40 if method == 0 else 40 < made.samples <= 40 * (2**depth + 1) ** 2
+    if method == 0:
         assert set(np.unique(image[:, 6])) <= {0.0, 1.0}
     else:
         assert np.abs(image[:, 6] - 0.5).max() <= 0.26
         assert (image[:, 6] % 1.0 != 0.0).all()
-    assert 0.05 < seconds < 60.0
+    assert 0.05 < made.seconds < 60.0
 
 
 def test_options_and_values_above_one(native: Any, scene: Path) -> None:
-    image, _ = native.render(scene, (10, 4), method=None, options=["Declare=SHADE=7.5"])
-    assert image.max() == 7.5
-    image, _ = native.render(scene, (10, 4), method=None, options=["Declare=SHADE=1e6"])
-    assert image.max() == 65504.0
+    assert native(scene, (10, 4), ("Declare=SHADE=7.5",), antialiasing=0).mean.max() == 7.5
+    assert native(scene, (10, 4), ("Declare=SHADE=1e6",), antialiasing=0).mean.max() == 65504.0
 
 
 def test_nothing_is_left_behind(native: Any, scene: Path) -> None:
-    native.render(scene, (4, 4), method=None)
+    native(scene, (4, 4), antialiasing=0)
     assert [file.name for file in scene.parent.iterdir()] == [scene.name]
 
 
 def test_bad_input(native: Any, scene: Path) -> None:
     with pytest.raises(FileNotFoundError, match="there is no scene file"):
-        native.render(scene.with_name("none.pov"), (4, 4))
+        native(scene.with_name("none.pov"), (4, 4))
     for settings, words in [
-        ({"method": 3}, "method is 3: expected 1, 2 or None"),
-        ({"depth": 0}, "depth of anti-aliasing is 0"),
-        ({"threshold": -1.0}, "threshold of anti-aliasing is -1"),
-        ({"threshold": float("nan")}, "threshold of anti-aliasing is nan"),
+        ({"antialiasing": 3}, "antialiasing is 3: expected a whole number from 0 to 2"),
+        ({"depth": 0}, "depth is 0"),
+        ({"depth": "3"}, "depth is '3'"),
+        ({"threshold": -1.0}, "threshold is -1"),
+        ({"threshold": float("nan")}, "threshold is nan"),
+        ({"threshold": "small"}, "threshold is 'small'"),
         ({"threads": 0}, "threads is 0"),
     ]:
         with pytest.raises(ValueError, match=words):
-            native.render(scene, (4, 4), **settings)
+            native(scene, (4, 4), **settings)
     with pytest.raises(ValueError, match="image is 0x4"):
-        native.render(scene, (0, 4))
+        native(scene, (0, 4))
     scene.write_text("sphere { 0, }", encoding="utf-8")
     with pytest.raises(ValueError, match=r"edge\.pov.*line 1.*Parse Error"):
-        native.render(scene, (4, 4))
+        native(scene, (4, 4))
     scene.write_text("#while (1) #end", encoding="utf-8")
     with pytest.raises(TimeoutError, match="did not finish within 1 seconds"):
-        native.render(scene, (4, 4), timeout=1.0)
-    scene.write_text(EDGE, encoding="utf-8")
-    with pytest.raises(ValueError, match="is 5x4, not 4x4"):
-        native.render(scene, (4, 4), method=None, options=["+W5"])
+        native(scene, (4, 4), timeout=1.0)
+
+
+def test_the_renderer_s_camera_is_used(povray: Any, scene: Path) -> None:
+    """Exact: the scene's own, or the one that is given, as the rays that the renderer traces have it."""
+    own = povray.PovRayRenderer(scene, size=(10, 4), processes=1)
+    given = povray.PovRayRenderer(
+        scene,
+        size=(10, 4),
+        processes=1,
+        camera={
+            "kind": "orthographic",
+            "location": (0.5, 0, -1),
+            "right": (2, 0, 0),
+            "up": (0, 2, 0),
+            "direction": (0, 0, 1),
+        },
+    )
+    assert (
+        own.native(antialiasing=0).mean[0, :, 0] > 0
+    ).sum() == 6  # to x = 0.3, from -1; that pixel's centre is on the edge
+    assert (given.native(antialiasing=0).mean[0, :, 0] > 0).sum() == 4  # from -0.5
+    blurred = povray.PovRayRenderer(
+        scene,
+        size=(10, 4),
+        processes=1,
+        camera={"location": (0, 0, -1), "right": (2, 0, 0), "up": (0, 2, 0), "direction": (0, 0, 1), "aperture": 0.1},
+    )
+    with pytest.raises(ValueError, match="blur_samples"):
+        blurred.native()
+    for renderer in (own, given, blurred):
+        renderer.close()

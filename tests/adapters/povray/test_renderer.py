@@ -120,8 +120,8 @@ def test_infinite_values_are_clamped_and_counted(make: Any, plain_text: str, cen
         ({"options": ["+L/no/such/folder"]}, FileNotFoundError, r"there is no folder /no/such/folder"),
         ({"options": ["no.ini"]}, FileNotFoundError, r"the INI file no.ini cannot be read: No such file"),
         ({"size": (0, 10)}, ValueError, r"a size is \(width, height\) in whole pixels"),
-        ({"timeout": 0}, ValueError, r"a timeout is a number of seconds above 0"),
-        ({"processes": 0}, ValueError, r"processes are a whole number from 1"),
+        ({"timeout": 0}, ValueError, r"timeout is 0: expected a number above 0"),
+        ({"processes": 0}, ValueError, r"processes is 0: expected a whole number"),
         ({"camera": {"location": (0, 0, 0)}}, ValueError, r"a camera is a Camera, or a mapping with location, right"),
     ],
 )
