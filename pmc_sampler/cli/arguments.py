@@ -92,7 +92,7 @@ def _render(p: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         dest="settings",
-        help="an option of the renderer, or of its own anti-aliasing; VALUE as in TOML, or a bare word; may be repeated",
+        help="an option of the renderer or of its own anti-aliasing; VALUE as in TOML or a bare word; may be repeated",
     )
     p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
     p.add_argument(

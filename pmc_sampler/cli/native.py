@@ -27,8 +27,8 @@ def native(options: argparse.Namespace) -> int:
     for name, default in _NOT_FOR_IT.items():
         if getattr(options, name) != default:
             raise CommandError(
-                f"--method native takes no --{name.replace('_', '-')}: {options.renderer} chooses its samples by itself; "
-                f"what can be set, by --set, is {', '.join(own)}."
+                f"--method native takes no --{name.replace('_', '-')}: {options.renderer} chooses its samples by "
+                f"itself; what can be set, by --set, is {', '.join(own)}."
             )
     output = Output(options)
     given = dict(options.settings)

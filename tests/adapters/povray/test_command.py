@@ -60,7 +60,7 @@ def test_options_of_povray_and_of_the_renderer(run: Any, image: Any) -> None:
 def test_a_camera_given_by_hand(run: Any, image: Any) -> None:
     Path("none.pov").write_text(SCENE.replace("camera {", "#if (0) camera {").replace("1> }", "1> } #end", 1))
     camera = "{location=[0,0,-1],right=[2,0,0],up=[0,2,0],direction=[0,0,1]}"
-    status, out, err = run(f"render none.pov --size 4x3 --spp 1 -o flat.exr --set camera={camera}")
+    status, _, err = run(f"render none.pov --size 4x3 --spp 1 -o flat.exr --set camera={camera}")
     assert status == 0, err
     np.testing.assert_array_equal(image().rgb, 1.0)
 

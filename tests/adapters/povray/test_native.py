@@ -94,30 +94,18 @@ def test_bad_input(native: Any, scene: Path) -> None:
 
 def test_the_renderer_s_camera_is_used(povray: Any, scene: Path) -> None:
     """Exact: the scene's own, or the one that is given, as the rays that the renderer traces have it."""
-    own = povray.PovRayRenderer(scene, size=(10, 4), processes=1)
-    given = povray.PovRayRenderer(
-        scene,
-        size=(10, 4),
-        processes=1,
-        camera={
-            "kind": "orthographic",
-            "location": (0.5, 0, -1),
-            "right": (2, 0, 0),
-            "up": (0, 2, 0),
-            "direction": (0, 0, 1),
-        },
-    )
-    assert (
-        own.native(antialiasing=0).mean[0, :, 0] > 0
-    ).sum() == 6  # to x = 0.3, from -1; that pixel's centre is on the edge
-    assert (given.native(antialiasing=0).mean[0, :, 0] > 0).sum() == 4  # from -0.5
-    blurred = povray.PovRayRenderer(
-        scene,
-        size=(10, 4),
-        processes=1,
-        camera={"location": (0, 0, -1), "right": (2, 0, 0), "up": (0, 2, 0), "direction": (0, 0, 1), "aperture": 0.1},
-    )
+    place = {"right": (2, 0, 0), "up": (0, 2, 0), "direction": (0, 0, 1)}
+
+    def renderer(**options: Any) -> Any:
+        return povray.PovRayRenderer(scene, size=(10, 4), processes=1, **options)
+
+    own = renderer()
+    given = renderer(camera={"kind": "orthographic", "location": (0.5, 0, -1), **place})
+    blurred = renderer(camera={"location": (0, 0, -1), "aperture": 0.1, **place})
+    # Pixels are 0.2 wide; the white ends at 0.3, and the image begins at -1 and at -0.5.
+    assert (own.native(antialiasing=0).mean[0, :, 0] > 0).sum() == 6
+    assert (given.native(antialiasing=0).mean[0, :, 0] > 0).sum() == 4
     with pytest.raises(ValueError, match="blur_samples"):
         blurred.native()
-    for renderer in (own, given, blurred):
-        renderer.close()
+    for one in (own, given, blurred):
+        one.close()
