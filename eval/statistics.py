@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -45,3 +46,24 @@ def mean_error(values: Sequence[float]) -> tuple[float, float]:
         raise ValueError(f"a mean needs at least one value; the shape that came is {data.shape}.")
     spread = float(data.std(ddof=1) / np.sqrt(data.size)) if data.size > 1 else float("nan")
     return float(data.mean()), spread
+
+
+def neyman_limit(s: ArrayLike) -> float:
+    """Error of uniform sampling over the least that any counts can give, at equal samples: ``mean(s^2) / mean(s)^2``.
+
+    ``s``, any shape, is each pixel's standard deviation of one sample times the weight that the error gives it (for the
+    tvi error ``sigma / tvi(I)``). Neyman 1934 (doi:10.2307/2342192), for independent samples and counts that do not
+    depend on them. 1 where nothing varies.
+    """
+    values = np.asarray(s, dtype=np.float64)
+    mean = float(values.mean())
+    return float((values**2).mean()) / mean**2 if mean > 0.0 else 1.0
+
+
+def neyman_share(gain: float, limit: float) -> float:
+    """How much of the gain that :func:`neyman_limit` leaves a method reached: 0 as uniform sampling, 1 as the best.
+
+    ``gain`` is uniform sampling's error over the method's. ``(gain - 1) / (limit - 1)``; NaN where there is nothing to
+    gain.
+    """
+    return (gain - 1.0) / (limit - 1.0) if limit > 1.0 else float("nan")

@@ -77,6 +77,23 @@ void restore(Sampler& sampler, const nb::dict& blocks) {
     sampler.archive(reader);
 }
 
+
+using Words = nb::ndarray<const std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+
+void check_pairs(const Words& a, const Words& b) {
+    if (a.size() != b.size()) throw std::invalid_argument("got arrays of different lengths, expected one scramble for each index");
+}
+
+// f of each pair of words.
+template <class F>
+auto words(const Words& a, const Words& b, F&& f) {
+    check_pairs(a, b);
+    auto* data = new std::uint32_t[a.size() + 1];
+    nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<std::uint32_t*>(p); });
+    for (std::size_t i = 0; i < a.size(); ++i) data[i] = f(a.data()[i], b.data()[i]);
+    return nb::ndarray<nb::numpy, std::uint32_t, nb::ndim<1>>(data, {a.size()}, owner);
+}
+
 }  // namespace
 
 NB_MODULE(_core, m) {
@@ -183,6 +200,25 @@ NB_MODULE(_core, m) {
         for (std::size_t i = 0; i < luminance.size(); ++i) data[i] = pmc::tvi(luminance.data()[i]);
         return nb::ndarray<nb::numpy, double, nb::ndim<1>>(data, {luminance.size()}, owner);
     });
+
+    // Random numbers of many samples at once, for samplers and renderers that are written in NumPy.
+    m.def("sobol_points", [](Words scramble, Words index, std::uint32_t pair) {
+        check_pairs(scramble, index);
+        auto* data = new float[2 * index.size() + 1];
+        nb::capsule owner(data, [](void* p) noexcept { delete[] static_cast<float*>(p); });
+        for (std::size_t i = 0; i < index.size(); ++i) {
+            const auto p = pmc::sobol_pair(scramble.data()[i], index.data()[i], pair);
+            data[2 * i] = p.x;
+            data[2 * i + 1] = p.y;
+        }
+        return nb::ndarray<nb::numpy, float, nb::ndim<2>>(data, {index.size(), 2}, owner);
+    });
+    m.def("shuffled_index", [](Words scramble, Words index) {
+        return words(scramble, index, [](std::uint32_t s, std::uint32_t i) {
+            return pmc::reverse_bits(pmc::owen_reversed(pmc::reverse_bits(i), pmc::hash32(s ^ 0x4f1bbcdcu)));
+        });
+    });
+    m.def("mix", [](Words scramble, Words index) { return words(scramble, index, pmc::mix); });
 
     // Pieces that tests hold against their definitions.
     m.def("sobol_pair", [](std::uint32_t scramble, std::uint32_t index, std::uint32_t pair) {
