@@ -8,6 +8,7 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 CORE := $(wildcard pmc_sampler/core/* adapters/opencl/core/*)
 DEMO_ARGS ?= -o demo/
 BENCH_ARGS ?= -o benchmarks/
+SUITE_ARGS ?= quick -o results/quick
 PYTEST_ARGS ?=
 
 .PHONY: demo test test-long coverage bench lint types setup system-packages clean
@@ -27,7 +28,7 @@ coverage: setup
 	$(BIN)/pytest --cov $(PYTEST_ARGS)
 
 bench: setup
-	$(BIN)/python benchmarks/samplers.py $(BENCH_ARGS)
+	$(BIN)/pmc-sampler bench $(SUITE_ARGS)
 	$(BIN)/python benchmarks/overhead.py $(BENCH_ARGS)
 	$(BIN)/python benchmarks/mitsuba_throughput.py $(BENCH_ARGS)
 	$(BIN)/python benchmarks/opencl.py $(BENCH_ARGS)

@@ -1,231 +1,456 @@
-"""The benchmark of samplers: methods against each other on scenes, at equal sample counts, seed by seed.
+"""The benchmark: methods against each other on scenes, at equal samples and equal time, seed by seed.
 
-Runs are independent rows of a file of JSON lines, appended one by one: an interrupted benchmark goes on
-where it stopped and repeats nothing. A row is found again by everything that determines it: scene,
-renderer, settings, size, samples, seed, reference and the code of the sampler.
+Runs are independent and each leaves one row (:mod:`pmc_sampler.eval.results`): an interrupted benchmark goes on where
+it stopped and repeats nothing. A row is found again by everything that determines it: scene, renderer, settings, size,
+budget, seed, reference and the code of the sampler.
 """
 
 import hashlib
 import json
 import os
+import platform
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 import pmc_sampler
-from pmc_sampler import Budget, Config, _core, render
+from pmc_sampler import Budget, _core, render
+from pmc_sampler.sampler import config_for
 
-from . import metrics
-from .references import Reference, key, obtain
+from . import baselines, measures, metrics, references, results
+from .executors import Executor, in_process
+from .references import Reference, key
+from .suite import BadSuiteError, Run, Scene, Suite
 
-Renderer = Callable[..., Any]
+Load = Callable[..., Any]
 Log = Callable[[str], None]
+Progress = Callable[[float, str], None]
+
+WARM_UP_SEED = 0x5EED_FFFF
+"""Of the sample a pixel that each renderer makes before it is timed."""
 
 
 @dataclass(frozen=True)
-class Method:
-    """A way to spend samples: a name for the table, settings for a width and height, random numbers."""
+class Renderers:
+    """How renderers are found, handed in by who knows them; both must be importable where runs are done.
 
-    name: str
-    config: Callable[[int, int], Config]
-    sampler: str
+    ``load(renderer, scene, sampler=..., size=..., **options)`` gives the renderer of a scene,
+    ``version(renderer)`` what its images depend on besides scene and options.
+    """
 
-
-BASELINE = Method("PT, independent", lambda w, h: Config.uniform(), "independent")
-STRATIFIED = Method("PT, Sobol", lambda w, h: Config.uniform(), "sobol")
-METHODS = (
-    BASELINE,
-    STRATIFIED,
-    Method("paper, independent", Config.paper, "independent"),
-    Method("paper, Sobol", Config.paper, "sobol"),
-    # Not scaled to the image: at a quarter of the pixels its iterations are so few that beta is never adapted.
-    Method("paper, all 5000 members, independent", lambda w, h: Config.paper(), "independent"),
-    Method("default, Sobol", lambda w, h: Config(), "sobol"),
-)
+    load: Load
+    version: Callable[[str], str]
 
 
 @dataclass(frozen=True)
-class Plan:
-    """What to run."""
+class Job:
+    """All that the runs on one scene share."""
 
-    scenes: tuple[str, ...]
-    width: int = 320
-    height: int = 240
-    spp: int = 64
-    seeds: int = 10
-    reference_spp: int = 4096
-    methods: tuple[Method, ...] = METHODS
-    identities: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
-    """For each scene what identifies it and its renderer (:func:`pmc_sampler.eval.references.identify`)."""
-    code: str = ""
-    """Names the code that makes the images; rows of other code are not taken for this one's."""
+    suite: Suite
+    scene: Scene
+    renderers: Renderers
+    versions: Mapping[str, str]
+    reference: Reference
+    recording: str | None
 
 
-class Rows:
-    """The file of results: read once, appended to row by row."""
+@dataclass(frozen=True)
+class Outcome:
+    """What a run gave: its row, and the image with its layers where it is one to be kept."""
 
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self.by_id: dict[str, dict[str, Any]] = {}
-        if self.path.is_file():
-            text = self.path.read_text(encoding="utf-8")
-            whole, newline, torn = text.rpartition("\n")
-            if torn:
-                # An interruption in the middle of a write left half a row: cut it off before appending.
-                with self.path.open("r+b") as stream:
-                    stream.truncate(len((whole + newline).encode()))
-            for line in whole.splitlines():
-                row = json.loads(line)
-                self.by_id[row["id"]] = row
-
-    def append(self, row: dict[str, Any]) -> None:
-        """Add one row, on disk before this returns."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        with self.path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(row, sort_keys=True) + "\n")
-            stream.flush()
-            os.fsync(stream.fileno())
-        self.by_id[row["id"]] = row
+    row: results.Row
+    image: NDArray[np.float32] | None = None
+    layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
 
 
 def run(
-    plan: Plan,
-    load: Callable[[str, str], Renderer],
-    rows: Rows,
+    suite: Suite,
+    folder: results.Folder,
+    renderers: Renderers,
     *,
     cache: str | os.PathLike[str] | None = None,
+    execute: Executor[tuple[str, Run], Outcome] = in_process,
     log: Log = lambda line: None,
-) -> list[dict[str, Any]]:
-    """Run what is missing in ``rows`` and return the rows of the plan, in its order.
+    progress: Progress = lambda fraction, note: None,
+) -> None:
+    """Do the runs of a suite that ``folder`` does not have, and those that failed in it.
 
-    ``load(scene, sampler)`` gives the renderer of a scene, at the plan's size, with ``"sobol"`` or
-    ``"independent"`` random numbers. References go to ``cache`` (see
-    :func:`pmc_sampler.eval.references.obtain`). Methods are interleaved within each seed, so that a
-    machine's drift hits all alike; each renderer is warmed up before it is timed. ``log`` gets a line for
-    each step.
+    References and recordings go to ``cache`` (see :func:`pmc_sampler.eval.references.obtain`); each renderer is warmed
+    up before it is timed. A run that fails leaves a row with its `error`, and the others go on. ``log`` gets a line for
+    each step, ``progress`` the share of the time that is expected in all. Raises
+    :class:`pmc_sampler.eval.suite.BadSuiteError` for what can be known to fail before anything is rendered.
     """
-    wanted: list[dict[str, Any]] = []
-    for scene in plan.scenes:
-        renderers: dict[str, Renderer] = {}
-        reference: Reference | None = None
-        for seed, method in _order(plan):
-            identity = _identity(plan, scene, method, seed)
-            found = rows.by_id.get(identity["id"])
-            if found is None:
-                reference = reference or _reference(plan, scene, load, cache, log)
-                if method.sampler not in renderers:
-                    renderers[method.sampler] = load(scene, method.sampler)
-                    render(renderers[method.sampler], plan.width, plan.height, Budget(spp=1), Config.uniform())
-                found = identity | _measure(plan, method, seed, renderers[method.sampler], reference)
-                rows.append(found)
-                log(
-                    f"{scene}, seed {seed}, {method.name}: {found['seconds']['total']:.1f} s, "
-                    f"tvi error {found['tvi_error']:.4g}, MSE {found['mse']:.4g}"
-                )
-            wanted.append(found)
-    return wanted
+    check(suite)
+    code = fingerprint()
+    versions = {scene.name: _versions(scene, renderers, code) for scene in suite.scenes}
+    plan = {
+        scene.name: [(_identity(suite, run, versions[scene.name]), run) for run in suite.runs(scene)]
+        for scene in suite.scenes
+    }
+    folder.begin(suite, [run_id for runs in plan.values() for run_id, _ in runs])
+    clock = _Clock([run for runs in plan.values() for _, run in runs])
+    missing: dict[str, list[tuple[str, Run]]] = {}
+    for scene in suite.scenes:
+        missing[scene.name] = []
+        for run_id, one in plan[scene.name]:
+            row = _found(folder, run_id, log)
+            if row is not None:
+                clock.ended(one, row)
+            else:
+                missing[scene.name].append((run_id, one))
+    for scene in suite.scenes:
+        todo = missing[scene.name]
+        if not todo:
+            continue
+        try:
+            job = _prepare(suite, scene, renderers, versions[scene.name], cache, progress, clock)
+        except Exception as error:  # whatever a renderer raises: the other scenes can still be measured
+            for run_id, one in todo:
+                row = _failure(suite, run_id, one, versions[scene.name], error)
+                folder.store(row)
+                clock.ended(one, row)
+            log(f"{scene.name}: {todo[0][1].scene.name} cannot be measured: {_sentence(error)}")
+            continue
+        folder.store_image(results.reference_name(scene.name), *results.reference_image(job.reference, scene))
+        for place, outcome in execute(measure, job, todo):
+            _, one = todo[place]
+            if outcome.image is not None:
+                name = results.image_name(scene.name, one.method.name, str(one.budget))
+                metadata = {
+                    f"pmc:{name}": "" if value is None else value
+                    for name, value in outcome.row.items()
+                    if name != "tiles"
+                }
+                folder.store_image(name, outcome.image, outcome.layers, metadata)
+            folder.store(outcome.row)
+            clock.ended(one, outcome.row)
+            line = _line(one, outcome.row)
+            progress(clock.fraction, line)
+            log(line)
 
 
-def _order(plan: Plan) -> Iterator[tuple[int, Method]]:
-    for seed in range(1, plan.seeds + 1):
-        # The order within a seed turns, so that no method always runs first.
-        turn = seed % len(plan.methods)
-        for method in plan.methods[turn:] + plan.methods[:turn]:
-            yield seed, method
+def check(suite: Suite) -> None:
+    """Raise :class:`BadSuiteError` for a file that is missing and for settings that no sampler takes."""
+    for scene in suite.scenes:
+        if scene.source != scene.name and not Path(scene.source).is_file():
+            raise BadSuiteError(f"scene {scene.name!r}: there is no file {scene.source!r}.")
+        width, height = scene.size or (64, 64)
+        known = scene.renderer is None or scene.recorded_spp is not None
+        ones = np.ones((height, width))
+        knowledge = {
+            "mean": np.ones((height, width, 3)),
+            "variance": np.ones((height, width, 3)),
+            "luminance_variance": ones,
+        }
+        stand_in = SimpleNamespace(width=width, height=height, **(knowledge if known else {}))
+        for method in suite.methods:
+            if method.scenes is None or scene.name in method.scenes:
+                try:
+                    _sampler(suite, Run(scene, method, scene.budgets[0], 1), stand_in)
+                except (ValueError, TypeError) as error:
+                    raise BadSuiteError(f"method {method.name!r} on scene {scene.name!r}: {error}") from error
 
 
-def _reference(
-    plan: Plan,
-    scene: str,
-    load: Callable[[str, str], Renderer],
+def measure(job: Job, todo: tuple[str, Run]) -> Outcome:
+    """Do one run; what goes wrong becomes its row's `error`."""
+    run_id, one = todo
+    try:
+        return _measured(job, run_id, one)
+    except Exception as error:  # whatever a renderer or a sampler raises is this run's alone
+        return Outcome(_failure(job.suite, run_id, one, job.versions, error))
+
+
+def _measured(job: Job, run_id: str, one: Run) -> Outcome:
+    identity = key(_settings(job.scene, job.versions))
+    radiance = _radiance(identity, job.renderers, job.scene, job.recording, one.method.numbers)
+    started = _now()
+    sampler = _sampler(job.suite, one, radiance)
+    image, seconds = _sampled(sampler, radiance)
+    film, white, reference = sampler.film, job.suite.white_luminance, job.reference
+    limit = measures.neyman(radiance, reference, white, sampler.spp)
+    noise = measures.reference_noise(reference, white)
+    row = {
+        **_described(job.suite, run_id, one, job.versions, started),
+        "error": None,
+        **{"width": sampler.width, "height": sampler.height, "samples": int(sampler.samples)},
+        **{"spp": float(sampler.spp), "rejected": int(sampler.rejected), "done": str(sampler.done)},
+        **{f"seconds.{part}": spent for part, spent in seconds.items()},
+        **measures.measure(image, reference, white, job.suite.metrics),
+        "bias": metrics.bias(image, reference.mean),
+        "plain_bias": metrics.bias(film.plain_mean, reference.mean),
+        "reference.spp": reference.spp,
+        **{f"reference.{name}": value for name, value in noise.items()},
+        **{f"limit.{name}": value for name, value in limit.items()},
+        "tiles": measures.tiles(image).tolist(),
+    }
+    return Outcome(row, image, _layers(film)) if one.seed == 1 else Outcome(row)
+
+
+def _sampled(sampler: Any, radiance: Any) -> tuple[NDArray[np.float32], dict[str, float]]:
+    """Sample until the budget is met: the image, and the seconds it took, in all and in each part.
+
+    The image's making counts as the sampler's: it is where PMC corrects its energy.
+    """
+    in_renderer = in_sampler = 0.0
+    began = time.perf_counter()
+    while not sampler.done:
+        start = time.perf_counter()
+        batch = sampler.ask()
+        drawn = time.perf_counter()
+        values = radiance(batch)
+        rendered = time.perf_counter()
+        sampler.tell(batch, values)
+        in_renderer += rendered - drawn
+        in_sampler += drawn - start + time.perf_counter() - rendered
+    start = time.perf_counter()
+    image = sampler.film.mean
+    ended = time.perf_counter()
+    return image, {"total": ended - began, "renderer": in_renderer, "sampler": in_sampler + ended - start}
+
+
+def _layers(film: Any) -> dict[str, NDArray[Any]]:
+    """The pictures beside the mean that a film has; alpha where it was adapted."""
+    layers = {"samples": film.samples, "error": film.standard_error, "plain": film.plain_mean}
+    if hasattr(film, "strategy"):
+        layers["strategy"] = film.strategy
+    alpha = getattr(film, "alpha", None)
+    if alpha is not None and np.ptp(alpha.reshape(-1, alpha.shape[2]), axis=0).any():
+        padded = np.zeros((*alpha.shape[:2], 3), np.float32)
+        padded[..., : alpha.shape[2]] = alpha
+        layers["alpha"] = padded
+    return layers
+
+
+def _sampler(suite: Suite, one: Run, radiance: Any) -> Any:
+    settings = one.method.settings_on(one.scene.name)
+    if settings["sampler"] == "pmc":
+        settings = {"white_luminance": suite.white_luminance, **settings}
+    return baselines.make(settings, radiance, Budget(**{one.budget.kind: one.budget.value}), one.seed)
+
+
+def _prepare(
+    suite: Suite,
+    scene: Scene,
+    renderers: Renderers,
+    versions: Mapping[str, str],
     cache: str | os.PathLike[str] | None,
-    log: Log,
-) -> Reference:
-    began, shown = time.perf_counter(), 0.0
+    progress: Progress,
+    clock: "_Clock",
+) -> Job:
+    """The reference of a scene, rendered where the cache has none; a recording likewise."""
 
-    def progress(fraction: float) -> None:
-        nonlocal shown
-        if fraction - shown >= 0.1:
-            shown = fraction
-            log(f"{scene}: reference {fraction:.0%}, {time.perf_counter() - began:.0f} s")
+    def shown(what: str) -> Callable[[float], None]:
+        return lambda share: progress(clock.fraction, f"{scene.name}: {what} {share:.0%}")
 
-    return obtain(
-        load(scene, "sobol"),
-        plan.width,
-        plan.height,
-        plan.reference_spp,
-        _settings(plan, scene),
-        cache=cache,
-        progress=progress,
+    folder = Path(cache) if cache is not None else references.cache_folder()
+    if scene.renderer is None:
+        recording: Path | None = Path(scene.source)
+    elif scene.recorded_spp is not None:
+        recording = _record(scene, renderers, versions, folder, shown("recording"))
+    else:
+        recording = None
+    if recording is not None:
+        from .recorded import Recording
+
+        return Job(suite, scene, renderers, versions, Recording(recording).reference, str(recording))
+    radiance = _load(scene, renderers, "sobol")
+    reference = references.obtain(
+        radiance,
+        radiance.width,
+        radiance.height,
+        scene.reference_spp,
+        _settings(scene, versions),
+        cache=folder,
+        noise=scene.reference_noise,
+        progress=shown("reference"),
+    )
+    return Job(suite, scene, renderers, versions, reference, None)
+
+
+def _record(
+    scene: Scene, renderers: Renderers, versions: Mapping[str, str], folder: Path, progress: Callable[[float], None]
+) -> Path:
+    from .recorded import record
+
+    settings = {**_settings(scene, versions), "size": scene.size, "spp": scene.recorded_spp}
+    path = folder / f"{key(settings)}.h5"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        radiance = _load(scene, renderers, "independent")
+        record(
+            radiance,
+            radiance.width,
+            radiance.height,
+            scene.recorded_spp or 0,
+            path,
+            seed=references.SEED,
+            settings=settings,
+            progress=progress,
+        )
+    return path
+
+
+def _load(scene: Scene, renderers: Renderers, numbers: str) -> Any:
+    return renderers.load(scene.renderer, scene.source, sampler=numbers, size=scene.size, **dict(scene.options))
+
+
+@lru_cache(maxsize=2)  # a scene's with Sobol points and with independent numbers
+def _radiance(identity: str, renderers: Renderers, scene: Scene, recording: str | None, numbers: str) -> Any:
+    """The renderer of a scene, warm; kept for the runs to come, as long as ``identity`` is the same."""
+    if recording is not None:
+        from .recorded import Recording
+
+        return Recording(recording, sampler=numbers)
+    radiance = _load(scene, renderers, numbers)
+    uniform = config_for(radiance, {"preset": "uniform"})
+    render(radiance, radiance.width, radiance.height, Budget(spp=1), uniform, seed=WARM_UP_SEED)
+    return radiance
+
+
+def _found(folder: results.Folder, run_id: str, log: Log) -> results.Row | None:
+    """The row of a run that is not to be done again."""
+    try:
+        row = folder.row(run_id)
+    except results.BadResultsError as error:
+        log(f"{error} It is done again now.")
+        return None
+    return row if row is not None and row["error"] is None else None
+
+
+def _settings(scene: Scene, versions: Mapping[str, str]) -> dict[str, Any]:
+    """What an image of a scene depends on besides size, samples and sampler."""
+    if scene.renderer is None:
+        return {"recording": references.digest(Path(scene.source))}
+    identity = references.identify(scene.source, scene.renderer, versions[scene.renderer])
+    # The label of a scene is not part of what its image depends on, nor where its file lies.
+    return {**identity, "scene": scene.name, "options": dict(scene.options)}
+
+
+def _identity(suite: Suite, one: Run, versions: Mapping[str, str]) -> str:
+    scene = one.scene
+    return key(
+        {
+            **_settings(scene, versions),
+            "method": one.method.name,
+            "numbers": one.method.numbers,
+            "settings": one.method.settings_on(scene.name),
+            "size": scene.size,
+            "budget": str(one.budget),
+            "reference": [scene.reference_spp, scene.reference_noise, scene.recorded_spp],
+            "metrics": suite.metrics,
+            "white_luminance": suite.white_luminance,
+            "seed": one.seed,
+            "code": versions["code"],
+        }
     )
 
 
-def _settings(plan: Plan, scene: str) -> dict[str, Any]:
-    return {"scene": scene, **plan.identities.get(scene, {})}
-
-
-def _identity(plan: Plan, scene: str, method: Method, seed: int) -> dict[str, Any]:
-    identity = {
-        **_settings(plan, scene),
-        "method": method.name,
-        "sampler": method.sampler,
-        "config": method.config(plan.width, plan.height).to_dict(),
-        "width": plan.width,
-        "height": plan.height,
-        "spp": plan.spp,
-        "reference_spp": plan.reference_spp,
-        "seed": seed,
-        "code": plan.code,
-    }
-    return {"id": key(identity), **identity}
-
-
-def _measure(plan: Plan, method: Method, seed: int, renderer: Renderer, reference: Reference) -> dict[str, Any]:
-    config = method.config(plan.width, plan.height)
-    result = render(renderer, plan.width, plan.height, Budget(spp=plan.spp), config, seed=seed)
-    image, r = result.film.mean, reference.mean
-    white = config.white_luminance
+def _described(suite: Suite, run_id: str, one: Run, versions: Mapping[str, str], started: str) -> results.Row:
+    """The part of a row that is known before the run."""
     return {
-        "samples": result.samples,
-        "rejected": result.rejected,
-        "seconds": dict(result.seconds),
-        "finished": time.strftime("%Y-%m-%dT%H:%M:%S%z"),
-        "mse": metrics.mse(image, r, reference_variance=reference.variance),
-        "tvi_error": metrics.tvi_error(
-            image, r, white_luminance=white, reference_variance=reference.luminance_variance
-        ),
-        "relmse": metrics.relmse(image, r, reference_variance=reference.variance),
-        "visible_pixels": metrics.visible_pixels(image, r, white_luminance=white),
-        "ssim": metrics.ssim(image, r),
-        "flip": metrics.flip(image, r, exposures=metrics.flip_exposures(r)),
-        "bias": metrics.bias(image, r),
-        "plain_bias": metrics.bias(result.film.plain_mean, r),
-        "reference": {
-            "mse": float(reference.variance.mean()),
-            "tvi_error": float(reference_tvi(reference, white)),
-            "bias_error": reference.bias_error,
-        },
+        **{"id": run_id, "suite": suite.name, "scene": one.scene.name, "renderer": one.scene.renderer or "recording"},
+        **{"method": one.method.name, "numbers": one.method.numbers},
+        "settings": json.dumps(one.method.settings_on(one.scene.name), sort_keys=True),
+        **{"budget": str(one.budget), "budget_kind": one.budget.kind, "budget_value": one.budget.value},
+        **{"seed": one.seed, "white_luminance": suite.white_luminance, "started": started},
+        **{"versions": json.dumps(versions), "machine": machine()},
     }
 
 
-def reference_tvi(reference: Reference, white_luminance: float) -> float:
-    """The reference's own part of a tvi error measured against it, which is what the metric subtracts."""
-    same = metrics.tvi_error(
-        reference.mean,
-        reference.mean,
-        white_luminance=white_luminance,
-        reference_variance=reference.luminance_variance,
-    )
-    return -same
+def _failure(suite: Suite, run_id: str, one: Run, versions: Mapping[str, str], error: Exception) -> results.Row:
+    return {**_described(suite, run_id, one, versions, _now()), "error": _sentence(error)}
+
+
+def _sentence(error: BaseException) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _now() -> str:
+    return time.strftime("%Y-%m-%dT%H:%M:%S%z")
+
+
+def _line(one: Run, row: results.Row) -> str:
+    what = f"{one.scene.name}, {one.budget}, seed {one.seed}, {one.method.name}"
+    return f"{what}: failed: {row['error']}" if row["error"] else f"{what}: {row['seconds.total']:.2f} s"
+
+
+class _Clock:
+    """What share of the time is spent, from what runs have cost a sample so far."""
+
+    def __init__(self, runs: Sequence[Run]) -> None:
+        self._left = {id(run): run for run in runs}
+        self._spent = 0.0
+        self._rates: dict[tuple[str, str], list[float]] = {}
+
+    def ended(self, run: Run, row: results.Row) -> None:
+        """A run has its row."""
+        del self._left[id(run)]
+        if row["error"] is None:
+            self._spent += row["seconds.total"]
+            self._rates.setdefault((run.scene.name, run.method.name), []).append(row["seconds.total"] / row["spp"])
+
+    @property
+    def left(self) -> float:
+        """Seconds that the runs without a row are expected to take."""
+        every = [rate for rates in self._rates.values() for rate in rates]
+        typical = float(np.median(every)) if every else 1.0
+        return sum(
+            run.budget.value
+            if run.budget.kind == "seconds"
+            else run.budget.value * float(np.median(self._rates.get((run.scene.name, run.method.name), [typical])))
+            for run in self._left.values()
+        )
+
+    @property
+    def fraction(self) -> float:
+        """Share of the expected time that is spent, 0 to 1."""
+        left = self.left
+        return 1.0 if not self._left else self._spent / (self._spent + left)
+
+
+def _versions(scene: Scene, renderers: Renderers, code: str) -> dict[str, str]:
+    """What a row's numbers depend on, by name."""
+    own = {}
+    if scene.renderer is not None:
+        try:
+            own[scene.renderer] = renderers.version(scene.renderer)
+        except RuntimeError:  # it cannot run here, which its runs will say
+            own[scene.renderer] = ""
+    return {
+        **{"pmc_sampler": pmc_sampler.__version__, "code": code, "numpy": np.__version__},
+        **{"python": platform.python_version(), **own},
+    }
 
 
 def fingerprint(files: Iterable[Path] = ()) -> str:
-    """A hash of the sampler's code and of further ``files``, such as an adapter's."""
+    """A hash of the code that makes and measures images: the sampler's, the baselines' and the metrics'."""
     package = Path(pmc_sampler.__file__).parent
-    parts = [Path(_core.__file__), *package.glob("*.py"), *files]
+    here = Path(__file__).parent
+    own = [here / f"{name}.py" for name in ("metrics", "measures", "display")]
+    parts = [Path(_core.__file__), *package.glob("*.py"), *own, *(here / "baselines").glob("*.py"), *files]
     digest = hashlib.sha256()
     for part in sorted(parts):
         digest.update(part.name.encode() + b"\0" + part.read_bytes())
     return digest.hexdigest()[:12]
+
+
+@lru_cache
+def machine() -> str:
+    """The processor, the number of cores this process may use, and the system."""
+    cpu = platform.processor() or platform.machine()
+    try:
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                cpu = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    return f"{cpu}, {cores} cores, {platform.system()} {platform.release()}, Python {platform.python_version()}"

@@ -8,6 +8,7 @@ subtracted.
 
 import hashlib
 import json
+import math
 import os
 import re
 import time
@@ -55,6 +56,11 @@ class Reference:
         return float(luminance(self.mean.astype(np.float64)).mean())
 
     @property
+    def noise(self) -> float:
+        """Root mean square over pixels of the luminance's standard error, relative to the mean luminance."""
+        return float(np.sqrt(self.luminance_variance.mean(dtype=np.float64))) / self.mean_luminance
+
+    @property
     def bias_error(self) -> float:
         """Standard error of the mean luminance, relative to it: a measured bias is uncertain by as much."""
         n = self.luminance_variance.size
@@ -67,6 +73,15 @@ def key(settings: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def digest(path: Path) -> str:
+    """A short name for a file's contents."""
+    with path.open("rb") as stream:
+        whole = hashlib.sha256()
+        while block := stream.read(1 << 20):
+            whole.update(block)
+    return whole.hexdigest()[:16]
+
+
 def identify(scene: str, renderer: str, version: str) -> dict[str, str]:
     """What a scene's image depends on besides size and samples, for :func:`key`.
 
@@ -76,14 +91,14 @@ def identify(scene: str, renderer: str, version: str) -> dict[str, str]:
     """
     file = scenes.path(scene) if scene in scenes.names() else Path(scene)
     contents = file.read_bytes()
-    digest = hashlib.sha256(contents)
+    parts = hashlib.sha256(contents)
     for name in re.findall(rb'name="filename"\s+value="([^"]+)"', contents):
         part = file.parent / os.fsdecode(name)
         if part.is_file():
-            digest.update(part.read_bytes())
+            parts.update(part.read_bytes())
     return {
         "scene": scene,
-        "contents": digest.hexdigest()[:16],
+        "contents": parts.hexdigest()[:16],
         "renderer": renderer,
         "renderer_version": version,
     }
@@ -104,6 +119,7 @@ def obtain(
     *,
     cache: str | os.PathLike[str] | None = None,
     replicates: int = 16,
+    noise: float | None = None,
     save_seconds: float = 60.0,
     progress: Callable[[float], None] | None = None,
 ) -> Reference:
@@ -111,7 +127,8 @@ def obtain(
 
     Parameters: ``radiance`` a renderer (see :class:`pmc_sampler.Sampler`) whose samples are low-discrepancy
     or independent; ``spp`` a multiple of ``replicates``; ``settings`` names everything besides size and
-    samples that the image depends on (scene, renderer, versions) and, with those, makes the key; ``cache``
+    samples that the image depends on (scene, renderer, versions) and, with those, makes the key; ``noise``, if
+    given, adds replicates of as many samples until :attr:`Reference.noise` is at most that; ``cache``
     a folder, made when missing; state is saved after each replicate and every ``save_seconds`` within one;
     ``progress`` is called with the finished share. Raises :class:`BadReferenceError`.
     """
@@ -120,7 +137,11 @@ def obtain(
             f"a reference needs at least 2 replicates and samples per pixel in a multiple of them; "
             f"{spp} spp in {replicates} came."
         )
+    if noise is not None and not noise > 0.0:
+        raise BadReferenceError(f"a reference's noise must be above 0, for example 0.01; {noise!r} came.")
     full = {**settings, "width": width, "height": height, "spp": spp, "replicates": replicates, "seed": SEED}
+    if noise is not None:
+        full["noise"] = noise
     name = key(full)
     folder = Path(cache) if cache is not None else cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
@@ -129,22 +150,23 @@ def obtain(
         return load(path)
     state = _Replicates.resume(folder / f"{name}.part.npz", height, width)
     inner = folder / f"{name}.sampler"
-    while state.count < replicates:
+    each = spp // replicates
+    while (wanted := state.wanted(replicates, noise)) > state.count:
         began = time.perf_counter()
-        sampler = _sampler(inner, radiance, width, height, spp // replicates, SEED + state.count)
+        sampler = _sampler(inner, radiance, width, height, each, SEED + state.count)
         saved = time.perf_counter()
         while not sampler.done:
             batch = sampler.ask()
             sampler.tell(batch, radiance(batch))
             if progress is not None:
-                progress((state.count + min(sampler.spp * replicates / spp, 1.0)) / replicates)
+                progress((state.count + min(sampler.spp / each, 1.0)) / wanted)
             if time.perf_counter() - saved > save_seconds:
                 sampler.save(inner)
                 saved = time.perf_counter()
         state.add(sampler.film.plain_mean, sampler.rejected, time.perf_counter() - began)
         state.save(folder / f"{name}.part.npz")
         inner.unlink(missing_ok=True)
-    reference = state.reference(spp, name)
+    reference = state.reference(each * state.count, name)
     _save(path, {field.name: getattr(reference, field.name) for field in fields(reference)}, settings=full)
     (folder / f"{name}.part.npz").unlink(missing_ok=True)
     return reference
@@ -197,6 +219,12 @@ class _Replicates:
 
     def save(self, path: Path) -> None:
         _save(path, {field.name: getattr(self, field.name) for field in fields(self)})
+
+    def wanted(self, least: int, noise: float | None) -> int:
+        """How many replicates it will take: ``least``, or as many as bring the noise down to ``noise``."""
+        if noise is None or self.count < least:
+            return least
+        return max(self.count, math.ceil(self.count * (self.reference(0, "").noise / noise) ** 2))
 
     def reference(self, spp: int, name: str) -> Reference:
         variance = (self.squares / (self.count - 1) / self.count).astype(np.float32)

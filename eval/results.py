@@ -1,132 +1,229 @@
-"""The benchmark's rows as a Markdown page: factors over path tracing, bias and time, over seeds."""
+"""A benchmark's results folder: one Parquet file a run, the suite, and images.
 
+``suite.toml`` is what was run, ``plan.json`` the ids of its runs, ``runs/ID.parquet`` one row each,
+``images/SCENE/METHOD/BUDGET.exr`` the image of seed 1 and ``images/SCENE/reference.exr`` what it was measured
+against. Files are written beside their place and renamed, so that a reader, or another process that writes, sees a
+whole file or none.
+"""
+
+import json
 import os
-import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from .statistics import Interval, mean_error, median_interval, ratio_interval
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
-Row = Mapping[str, Any]
+from . import images, measures, statistics
+from .references import Reference
+from .suite import Scene, Suite, read, slug
 
-HEAD = (
-    "| method | MSE | MSE factor | tvi error | tvi factor | over PT Sobol: MSE | tvi | bias % | bias before "
-    "correction % | seconds | renderer | sampler |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|---|"
-)
+Row = dict[str, Any]
 
 
-def page(
-    rows: Sequence[Row],
-    methods: Sequence[str],
-    baseline: str,
-    stratified: str,
-    *,
-    command: str,
-    versions: Mapping[str, str],
-) -> str:
-    """The page for the rows of :func:`pmc_sampler.eval.benchmark.run`.
+class BadResultsError(ValueError):
+    """A results folder that cannot be read or written; the message says which file and what to do."""
 
-    ``methods`` gives the order; ``baseline`` and ``stratified`` name those that factors are taken over.
+
+class Folder:
+    """Where results are kept; made, with the folders above it, when something is first stored."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+
+    def begin(self, suite: Suite, ids: Sequence[str]) -> None:
+        """Note what is going to be run: the suite, and the ids of its runs in their order."""
+        import tomli_w
+
+        write(self.path / "suite.toml", lambda part: part.write_text(tomli_w.dumps(suite.to_dict()), encoding="utf-8"))
+        write(self.path / "plan.json", lambda part: part.write_text(json.dumps({"ids": list(ids)}), encoding="utf-8"))
+
+    def row(self, run_id: str) -> Row | None:
+        """The row of a run, None where there is none. Raises :class:`BadResultsError` for a damaged file."""
+        import pyarrow
+        import pyarrow.parquet
+
+        path = self._row_path(run_id)
+        try:
+            (row,) = pyarrow.parquet.read_table(path).to_pylist()
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError, pyarrow.ArrowException) as error:
+            raise BadResultsError(
+                f"{str(path)!r} is damaged ({' '.join(str(error).split())}); delete it and the run is done again."
+            ) from error
+        return dict(row)
+
+    def store(self, row: Row) -> None:
+        """Keep a row, on disk before this returns."""
+        import pyarrow
+        import pyarrow.parquet
+
+        table = pyarrow.Table.from_pylist([row], schema=pyarrow.schema([(name, _type(row[name])) for name in row]))
+        write(self._row_path(row["id"]), lambda part: pyarrow.parquet.write_table(table, part))
+
+    def store_image(
+        self, path: Path, rgb: ArrayLike, layers: Mapping[str, ArrayLike], metadata: Mapping[str, Any]
+    ) -> None:
+        """Keep an image and its layers under ``path`` of the folder of images."""
+        target = self.path / "images" / path
+        target.parent.mkdir(parents=True, exist_ok=True)
+        images.write_exr(target, rgb, layers, metadata)
+
+    def _row_path(self, run_id: str) -> Path:
+        return self.path / "runs" / f"{run_id}.parquet"
+
+
+@dataclass(frozen=True)
+class Results:
+    """What :func:`load` found: ``rows`` in the order of running, ``missing`` runs that have none yet."""
+
+    path: Path
+    suite: Suite
+    rows: list[Row]
+    missing: int
+
+    @cached_property
+    def done(self) -> list[Row]:
+        """The rows of runs that did not fail."""
+        return [row for row in self.rows if row["error"] is None]
+
+    @property
+    def failed(self) -> list[Row]:
+        """The rows of runs that failed: `error` says why."""
+        return [row for row in self.rows if row["error"] is not None]
+
+    def select(self, scene: str, method: str, budget: str) -> list[Row]:
+        """The rows of a scene, method and budget (as ``str`` of a suite's budget), by seed."""
+        wanted = {"scene": scene, "method": method, "budget": budget}
+        return sorted(
+            (row for row in self.done if all(row[name] == value for name, value in wanted.items())),
+            key=lambda row: int(row["seed"]),
+        )
+
+    def pairs(self, scene: str, budget: str, over: str, method: str, column: str) -> tuple[list[float], list[float]]:
+        """A column of two methods, seed by seed, of the seeds that both have."""
+        base = {row["seed"]: row[column] for row in self.select(scene, over, budget)}
+        own = {row["seed"]: row[column] for row in self.select(scene, method, budget)}
+        seeds = [seed for seed in own if seed in base]
+        return [base[seed] for seed in seeds], [own[seed] for seed in seeds]
+
+    def slope(self, scene: str, method: str, column: str) -> statistics.Interval | None:
+        """Slope of log error against log samples, over the seeds that have every budget in samples.
+
+        None where there are not two budgets, or no such seed, or an error is as small as the reference's noise.
+        """
+        (entry,) = (one for one in self.suite.scenes if one.name == scene)
+        budgets = [budget for budget in entry.budgets if budget.kind == "spp"]
+        values = [{row["seed"]: row[column] for row in self.select(scene, method, str(b))} for b in budgets]
+        seeds = sorted(set.intersection(*(set(of_budget) for of_budget in values))) if values else []
+        errors = np.array([[of_budget[seed] for of_budget in values] for seed in seeds])
+        if len(budgets) < 2 or not seeds or not (errors > 0).all():
+            return None
+        return statistics.slope_interval([budget.value for budget in budgets], errors)
+
+    def image_path(self, scene: str, method: str, budget: str) -> Path | None:
+        """The EXR of seed 1; None where there is none yet."""
+        path = self.path / "images" / image_name(scene, method, budget)
+        return path if path.is_file() else None
+
+    def reference_path(self, scene: str) -> Path | None:
+        """The EXR of a scene's reference; None where there is none yet."""
+        path = self.path / "images" / reference_name(scene)
+        return path if path.is_file() else None
+
+    def welch(self, scene: str, method: str, budget: str, alpha: float = 0.01) -> statistics.Welch | None:
+        """The test of bias of a method's mean luminance in each tile of ``measures.TILE`` pixels, over seeds.
+
+        None for fewer than two seeds, or without the reference's image.
+        """
+        rows, path = self.select(scene, method, budget), self.reference_path(scene)
+        if len(rows) < 2 or path is None:
+            return None
+        reference = images.read(path)
+        variance = reference.layers["luminance_variance"].astype(np.float64)
+        return statistics.welch(
+            np.array([row["tiles"] for row in rows]),
+            measures.tiles(reference.rgb),
+            # Pixels are independent of each other: a mean of n of them has an n-th of their mean variance.
+            measures.tile_means(variance) / _tile_pixels(variance.shape),
+            int(reference.metadata["pmc:replicates"]),
+            alpha,
+        )
+
+
+def load(path: str | os.PathLike[str]) -> Results:
+    """The results of a folder that ``pmc-sampler bench`` wrote, finished or not.
+
+    Raises :class:`BadResultsError` for a folder that holds none and for a damaged file.
     """
-    scenes = list(dict.fromkeys(row["scene"] for row in rows))
-    parts = [_preamble(rows, baseline, stratified, command, versions)]
-    for scene in scenes:
-        of_scene = {
-            name: sorted(
-                (row for row in rows if row["scene"] == scene and row["method"] == name),
-                key=lambda row: row["seed"],
-            )
-            for name in methods
-        }
-        reference = of_scene[baseline][0]["reference"]
-        body = "\n".join(
-            _line(name, of_scene[name], of_scene[baseline], of_scene.get(stratified, [])) for name in methods
-        )
-        parts.append(
-            f"## {scene}\n\n{HEAD}\n{body}\n\n"
-            f"Subtracted for the reference's own noise: MSE {reference['mse']:.3g}, tvi error "
-            f"{reference['tvi_error']:.3g}. Standard error of the reference's mean luminance: "
-            f"{100 * reference['bias_error']:.3f} %, not part of the biases' errors."
-        )
-    return "\n\n".join(parts) + "\n"
-
-
-def write(path: str | os.PathLike[str], text: str) -> None:
-    """Write a text file beside its place and rename it into it."""
-    target = Path(path)
-    partial = target.with_name(f".{target.name}.{os.getpid()}.part")
-    partial.write_text(text, encoding="utf-8")
-    os.replace(partial, target)
-
-
-def machine() -> str:
-    """The processor, the number of cores this process may use, and the system."""
-    cpu = platform.processor() or platform.machine()
+    folder = Folder(path)
     try:
-        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
-            if line.startswith("model name"):
-                cpu = line.partition(":")[2].strip()
-                break
-    except OSError:
-        pass
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{cpu}, {cores} cores, {platform.system()} {platform.release()}, Python {platform.python_version()}"
+        ids = json.loads((folder.path / "plan.json").read_text(encoding="utf-8"))["ids"]
+        suite = read(folder.path / "suite.toml")
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadResultsError(
+            f"{str(path)!r} holds no results of a benchmark ({error}); `pmc-sampler bench -o {path}` makes them."
+        ) from error
+    rows = [row for row in (folder.row(run_id) for run_id in ids) if row is not None]
+    return Results(folder.path, suite, rows, len(ids) - len(rows))
 
 
-def _preamble(rows: Sequence[Row], baseline: str, stratified: str, command: str, versions: Mapping[str, str]) -> str:
-    first = rows[0]
-    seeds = len({row["seed"] for row in rows})
-    named = ", ".join(f"{name} {version}" for name, version in versions.items())
-    rejected = sum(row["rejected"] for row in rows)
+def image_name(scene: str, method: str, budget: str) -> Path:
+    """Where the image of a run lies in the folder of images."""
+    return Path(slug(scene), slug(method), f"{budget}.exr")
+
+
+def reference_name(scene: str) -> Path:
+    """Where a scene's reference lies in the folder of images."""
+    return Path(slug(scene), "reference.exr")
+
+
+def reference_image(reference: Reference, scene: Scene) -> tuple[ArrayLike, dict[str, ArrayLike], dict[str, Any]]:
+    """A reference as the image, layers and metadata of its file."""
+    layers: dict[str, ArrayLike] = {
+        "variance": reference.variance,
+        "luminance_variance": reference.luminance_variance,
+    }
+    names = ("spp", "replicates", "rejected", "seconds", "key")
     return (
-        "# Samplers at equal sample counts\n\n"
-        f"`{command}`\n\n"
-        f"{first['width']}x{first['height']} pixels, {first['spp']} samples per pixel, {seeds} seeds, "
-        f"references of {first['reference_spp']} samples per pixel. {named}. {machine()}. "
-        f"Sampler code `{first['code']}`. {rejected} samples were rejected as not finite or negative.\n\n"
-        f"Factors are the error of *{baseline}* (and of *{stratified}*) over the method's, taken seed by "
-        "seed: median and 95 % bootstrap interval. The reference's noise is subtracted from errors. "
-        f"Luminance 1 is {first['config']['white_luminance']:g} cd/m2. "
-        "MSE is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`. Bias is of mean luminance, with its "
-        "standard error over seeds; before correction: of the plain mean of all samples. Seconds are "
-        "medians; renderer and sampler (ask and tell) are shares of the total."
+        reference.mean,
+        layers,
+        {f"pmc:{name}": getattr(reference, name) for name in names} | {"pmc:scene": scene.name},
     )
 
 
-def _line(name: str, own: Sequence[Row], baseline: Sequence[Row], stratified: Sequence[Row]) -> str:
-    def factor(metric: str, base: Sequence[Row]) -> str:
-        if not base or base is own:
-            return "1" if base is own else ""
-        return _interval(ratio_interval([row[metric] for row in base], [row[metric] for row in own]))
-
-    seconds = {part: [row["seconds"][part] for row in own] for part in ("total", "renderer", "sampler")}
-    share = {
-        part: median_interval([100 * a / b for a, b in zip(seconds[part], seconds["total"], strict=True)]).median
-        for part in ("renderer", "sampler")
-    }
-    cells = [
-        name,
-        f"{median_interval([row['mse'] for row in own]).median:.3g}",
-        factor("mse", baseline),
-        f"{median_interval([row['tvi_error'] for row in own]).median:.3g}",
-        factor("tvi_error", baseline),
-        factor("mse", stratified),
-        factor("tvi_error", stratified),
-        _bias([row["bias"] for row in own]),
-        _bias([row["plain_bias"] for row in own]),
-        f"{median_interval(seconds['total']).median:.2f}",
-        f"{share['renderer']:.1f} %",
-        f"{share['sampler']:.1f} %",
-    ]
-    return "| " + " | ".join(cells) + " |"
+def write(path: Path, save: Callable[[Path], Any]) -> None:
+    """Have ``save`` write a file beside its place and rename it into it; makes the folder."""
+    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save(partial)
+        os.replace(partial, path)
+    except OSError as error:
+        raise BadResultsError(f"{str(path)!r} cannot be written: {error.strerror or error}.") from error
+    finally:
+        partial.unlink(missing_ok=True)
 
 
-def _interval(value: Interval) -> str:
-    return f"{value.median:.2f} ({value.low:.2f} to {value.high:.2f})"
+def _tile_pixels(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    rows, columns = (np.diff(np.append(np.arange(0, side, measures.TILE), side)) for side in shape)
+    return np.outer(rows, columns).astype(np.float64)
 
 
-def _bias(values: Sequence[float]) -> str:
-    mean, error = mean_error(values)
-    return f"{100 * mean:+.3f} ± {100 * error:.3f}"
+def _type(value: Any) -> Any:
+    """The Arrow type of a column; where nothing is known (None) it is a number."""
+    import pyarrow
+
+    if isinstance(value, str):
+        return pyarrow.string()
+    if isinstance(value, bool):
+        return pyarrow.bool_()
+    if isinstance(value, int):
+        return pyarrow.int64()
+    if isinstance(value, list):
+        return pyarrow.list_(pyarrow.list_(pyarrow.float64()))
+    return pyarrow.float64()

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 
 @dataclass(frozen=True)
@@ -67,3 +67,86 @@ def neyman_share(gain: float, limit: float) -> float:
     gain.
     """
     return (gain - 1.0) / (limit - 1.0) if limit > 1.0 else float("nan")
+
+
+def slope_interval(budgets: Sequence[float], errors: ArrayLike) -> Interval:
+    """Slope of log error against log budget, by least squares for each seed: median and interval over seeds.
+
+    ``budgets`` of length b, in samples or seconds; ``errors`` (seeds, b), above 0. Independent samples give -1
+    for squared errors. Raises ``ValueError`` for fewer than two budgets and for errors that have no logarithm.
+    """
+    x, y = np.asarray(budgets, dtype=np.float64), np.asarray(errors, dtype=np.float64)
+    if x.size < 2 or y.ndim != 2 or y.shape[1] != x.size:
+        raise ValueError(
+            f"a slope needs two budgets or more and an error of each seed at each; {x.size} budgets and errors of "
+            f"shape {y.shape} came."
+        )
+    if not (np.isfinite(y).all() and (y > 0).all()):
+        raise ValueError("a slope needs errors above 0: these are as small as the reference's noise.")
+    slopes = np.polyfit(np.log(x), np.log(y.T), 1)[0]
+    return median_interval(slopes.tolist())
+
+
+@dataclass(frozen=True)
+class Welch:
+    """A test of bias at each place: differences of the means, their ``t`` and two-sided ``p``.
+
+    ``threshold`` is what a ``p`` has to stay under to count, at a false-alarm rate of ``alpha`` over all places
+    together (Sidak 1967, doi:10.1080/01621459.1967.10482935).
+    """
+
+    difference: NDArray[np.float64]
+    t: NDArray[np.float64]
+    p: NDArray[np.float64]
+    alpha: float
+    threshold: float
+
+    @property
+    def biased(self) -> NDArray[np.bool_]:
+        """Where the bias is more than chance explains."""
+        return self.p < self.threshold
+
+
+def welch(
+    replicates: ArrayLike,
+    reference: ArrayLike,
+    reference_variance: ArrayLike,
+    reference_replicates: int,
+    alpha: float = 0.01,
+) -> Welch:
+    """Welch's unequal-variances t-test of replicated means against a reference's, at each place.
+
+    Welch 1947 (doi:10.1093/biomet/34.1-2.28), by scipy. ``replicates`` (seeds, ...), at least two;
+    ``reference`` and ``reference_variance`` (...) are a mean of ``reference_replicates`` replicates and the
+    variance of that mean, 0 where it is exact. Per-pixel values of rendered images have tails too heavy for the
+    test: give means over tiles of 16x16 pixels or more. Places where nothing varies and nothing differs get p = 1.
+    Raises ``ValueError`` for fewer than two seeds.
+    """
+    from scipy.stats import ttest_ind_from_stats
+
+    data = np.asarray(replicates, dtype=np.float64)
+    if data.ndim < 1 or len(data) < 2:
+        raise ValueError(f"a test of bias needs two seeds or more; the shape that came is {data.shape}.")
+    mean, spread = data.mean(axis=0), data.std(axis=0, ddof=1)
+    other = np.asarray(reference, dtype=np.float64)
+    deviation = np.sqrt(np.asarray(reference_variance, dtype=np.float64) * reference_replicates)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t, p = ttest_ind_from_stats(
+            mean, spread, len(data), other, deviation, max(reference_replicates, 2), equal_var=False
+        )
+    still = (spread == 0) & (deviation == 0)
+    same = still & (mean == other)
+    t = np.where(still, np.where(same, 0.0, np.sign(mean - other) * np.inf), t)
+    p = np.where(still, np.where(same, 1.0, 0.0), p)
+    return Welch(mean - other, t, p, alpha, float(-np.expm1(np.log1p(-alpha) / max(p.size, 1))))
+
+
+def neyman_error(variance: ArrayLike, spp: float) -> float:
+    """The least mean squared error of any unbiased allocation of independent samples, ``mean(s)^2 / spp``.
+
+    ``s^2`` is the ``variance`` of one sample of each pixel, times the square of the metric's weight there; the
+    samples are then in proportion to ``s`` (Neyman 1934, doi:10.2307/2342192). Equal counts have
+    ``mean(s^2) / spp``.
+    """
+    s = np.sqrt(np.asarray(variance, dtype=np.float64))
+    return float(s.mean() ** 2 / spp)

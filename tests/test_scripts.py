@@ -11,7 +11,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from pmc_sampler.eval import benchmark, images
+from pmc_sampler.eval import images
 
 pytestmark = pytest.mark.needs("mitsuba", "pyopencl", "OpenImageIO", "skimage", "flip_evaluator", "matplotlib")
 
@@ -57,26 +57,6 @@ def test_the_demo(script: Callable[[str], ModuleType], tmp_path: Path, capsys: p
     assert crop.shape[0] % 4 == crop.shape[1] % 4 == 0
     lower = reference[30:]
     assert np.isclose(crop.max(), lower.max(), rtol=1e-3)
-
-
-def test_the_benchmark_of_samplers(
-    script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ["-o", str(tmp_path / "out"), "--cache", str(tmp_path / "cache"), "--scenes", "diffuse"]
-    words += ["--size", "80x64", "--spp", "4", "--seeds", "2", "--reference-spp", "32"]
-    main = script("benchmarks/samplers.py").main
-    assert main(words) == 0
-    assert sorted(os.listdir(tmp_path / "out")) == ["results.md", "samplers.jsonl"]
-    page = (tmp_path / "out" / "results.md").read_text()
-    assert "## diffuse" in page
-    assert "--scenes diffuse --size 80x64 --spp 4 --seeds 2 --reference-spp 32`" in page
-    assert "mitsuba" in page
-    rows = (tmp_path / "out" / "samplers.jsonl").read_text()
-    assert rows.count("\n") == 2 * len(benchmark.METHODS)
-    capsys.readouterr()
-    assert main(words) == 0
-    assert "tvi error" not in capsys.readouterr().err  # nothing ran
-    assert (tmp_path / "out" / "samplers.jsonl").read_text() == rows
 
 
 def test_the_benchmark_of_overhead(script: Callable[[str], ModuleType], tmp_path: Path) -> None:

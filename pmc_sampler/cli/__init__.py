@@ -37,6 +37,8 @@ def _run(command: str) -> Callable[[argparse.Namespace], int]:
         from .render import render as run
     elif command == "compare":
         from .compare import compare as run
+    elif command == "bench":
+        from .bench import bench as run
     elif command == "scenes":
         from .listing import scenes as run
     else:

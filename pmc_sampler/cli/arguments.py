@@ -8,9 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn
 
-from pmc_sampler import __version__
-
-from . import optional
+from pmc_sampler import __version__, toml
 
 NATIVE = "native"
 METHODS = ("pmc", "pmc-paper", "pt", NATIVE)
@@ -38,6 +36,7 @@ def parser() -> argparse.ArgumentParser:
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND", parser_class=Parser)
     _render(commands.add_parser("render", help="render a scene to an EXR and a PNG", allow_abbrev=False))
     _compare(commands.add_parser("compare", help="all metrics of one image against another", allow_abbrev=False))
+    _bench(commands.add_parser("bench", help="run a suite of methods, scenes and budgets", allow_abbrev=False))
     for name, text in (
         ("scenes", "list the built-in scenes"),
         ("renderers", "list the renderers, and what a missing one needs"),
@@ -140,6 +139,26 @@ def _compare(p: argparse.ArgumentParser) -> None:
     p.add_argument("--json", action="store_true", help="print one JSON object")
 
 
+def _bench(p: argparse.ArgumentParser) -> None:
+    p.add_argument(
+        "suite",
+        metavar="SUITE",
+        nargs="?",
+        default="quick",
+        help="a suite that is shipped, or a .toml file; default: %(default)s",
+    )
+    p.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="DIR",
+        help="folder of the results; what is missing in it is run",
+    )
+    p.add_argument("--cache", type=Path, metavar="DIR", help="folder of the references; default: the user's cache")
+    p.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that does the runs, as tcp://HOST:8786")
+
+
 def renderer_for(scene: str) -> str:
     """The renderer that is meant where none is named."""
     return RENDERERS.get(Path(scene).suffix.lower(), DEFAULT_RENDERER)
@@ -174,11 +193,10 @@ def setting(text: str) -> tuple[str, Any]:
     name, equals, value = text.partition("=")
     if not equals or not name.isidentifier():
         raise argparse.ArgumentTypeError(f"{text!r} is no setting; give a name and a value as in timeout=60")
-    toml = optional.toml()
     try:
-        return name, toml.loads(f"value = {value}")["value"]
-    except toml.TOMLDecodeError:
-        return name, value
+        return name, toml.value(value)
+    except ImportError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
 
 
 def seed(text: str) -> int:

@@ -14,11 +14,3 @@ def load(module: str, purpose: str, extra: str) -> ModuleType:
         raise CommandError(
             f"{purpose} needs a package that cannot be imported ({error}): pip install 'pmc-sampler[{extra}]'."
         ) from error
-
-
-def toml() -> ModuleType:
-    """The standard library's reader of TOML, or ``tomli`` on Python 3.10."""
-    try:
-        return importlib.import_module("tomllib")
-    except ModuleNotFoundError:
-        return load("tomli", "reading settings on Python 3.10", "cli")

@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pmc_sampler import Budget, Config
+from pmc_sampler import Budget, Config, toml
 from pmc_sampler.sampler import config_for
 
-from . import optional
 from .arguments import DEFAULT_SPP
 from .errors import CommandError
 
@@ -39,15 +38,7 @@ def budget(options: argparse.Namespace) -> Budget:
 
 
 def _read(file: Path) -> Mapping[str, Any]:
-    toml = optional.toml()
     try:
-        text = file.read_text(encoding="utf-8")
-    except OSError as error:
-        raise CommandError(f"the settings {str(file)!r} cannot be read: {error.strerror}.") from error
-    except UnicodeDecodeError as error:
-        raise CommandError(f"the settings {str(file)!r} are no TOML: {error}.") from error
-    try:
-        settings: Mapping[str, Any] = toml.loads(text)
-    except toml.TOMLDecodeError as error:
-        raise CommandError(f"the settings {str(file)!r} are no TOML: {error}.") from error
-    return settings
+        return toml.read(file)
+    except (ValueError, ImportError) as error:
+        raise CommandError(str(error)) from error

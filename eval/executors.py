@@ -1,0 +1,66 @@
+"""Where runs are done: in this process, one after the other, or on the workers of a Dask cluster.
+
+An executor is a function of a task, what all its calls share, and the calls' arguments; it yields pairs of an
+argument's place and its result, as they come. Tasks return what went wrong instead of raising.
+"""
+
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, TypeVar
+
+Argument = TypeVar("Argument")
+Outcome = TypeVar("Outcome")
+Task = Callable[[Any, Argument], Outcome]
+Executor = Callable[[Task[Argument, Outcome], Any, Sequence[Argument]], Iterator[tuple[int, Outcome]]]
+
+
+def in_process(
+    task: Task[Argument, Outcome], shared: Any, arguments: Sequence[Argument]
+) -> Iterator[tuple[int, Outcome]]:
+    """``task(shared, argument)`` for each argument, in their order."""
+    for place, argument in enumerate(arguments):
+        yield place, task(shared, argument)
+
+
+class ClusterError(RuntimeError):
+    """A Dask cluster that cannot be used; the message says why and what to do."""
+
+
+@contextlib.contextmanager
+def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any]]:
+    """An executor on the cluster whose scheduler is at ``address``, such as ``tcp://host:8786``.
+
+    ``shared`` is sent to each worker once. A call whose worker dies is done again on another; one that has taken
+    three workers with it raises, as does all that the cluster itself cannot do. Calls that are not finished when the
+    caller leaves the loop are cancelled. Raises :class:`ClusterError` where there is no scheduler, or no `distributed`.
+    """
+    try:
+        import distributed
+    except ImportError as error:
+        raise ClusterError(
+            f"a cluster needs Dask, which cannot be imported ({error}): pip install 'pmc-sampler[dask]'."
+        ) from error
+    try:
+        client = distributed.Client(address, timeout=timeout, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ClusterError(
+            f"no Dask scheduler answers at {address!r} ({error}); start one by `dask scheduler`, and workers by "
+            f"`dask worker {address} --nthreads 1`."
+        ) from error
+
+    def execute(task: Any, shared: Any, arguments: Sequence[Any]) -> Iterator[tuple[int, Any]]:
+        # Not broadcast: workers may join and leave, and each fetches it with its first run.
+        sent = client.scatter(shared, hash=False)
+        futures = {
+            client.submit(task, sent, argument, pure=False, retries=0): place
+            for place, argument in enumerate(arguments)
+        }
+        try:
+            for future in distributed.as_completed(futures):
+                yield futures[future], future.result()
+                future.release()
+        finally:
+            client.cancel(list(futures))
+
+    with client:
+        yield execute

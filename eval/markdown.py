@@ -1,0 +1,127 @@
+"""A benchmark's results as a Markdown page: factors over the baseline, bias and time, over seeds."""
+
+import json
+from collections.abc import Sequence
+
+from . import statistics
+from .results import Results, Row
+
+ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
+"""The columns that the page has factors of, where the suite measures them."""
+
+
+def page(found: Results) -> str:
+    """The page for what :func:`pmc_sampler.eval.results.load` found, finished or not."""
+    parts = [_preamble(found)]
+    for scene in found.suite.scenes:
+        rows = [row for row in found.done if row["scene"] == scene.name]
+        parts.append(f"## {scene.name}")
+        for budget in scene.budgets:
+            parts.append(_table(found, scene.name, str(budget)))
+        if rows:
+            parts.append(_notes(found, rows))
+    if found.failed:
+        failed = "\n".join(
+            f"* {row['scene']}, {row['budget']}, seed {row['seed']}, {row['method']}: {row['error']}"
+            for row in found.failed
+        )
+        parts.append(f"## Runs that failed\n\n{failed}")
+    return "\n\n".join(parts) + "\n"
+
+
+def _preamble(found: Results) -> str:
+    suite = found.suite
+    incomplete = f" {found.missing} runs are missing." if found.missing else ""
+    versions = sorted({row["versions"] for row in found.done})
+    named = "; ".join(", ".join(f"{name} {version}" for name, version in json.loads(v).items()) for v in versions)
+    machines = "; ".join(sorted({row["machine"] for row in found.done}))
+    rejected = sum(row["rejected"] for row in found.done)
+    return (
+        f"# Suite {suite.name}\n\n{suite.about}\n\n"
+        f"`pmc-sampler bench {suite.name} -o {found.path.name}`\n\n"
+        f"{suite.seeds} seeds.{incomplete} {named}. {machines}. "
+        f"{rejected} samples were rejected as not finite or negative.\n\n"
+        f"Factors are the error of *{suite.baseline}* over the method's, taken seed by seed: median and 95 % bootstrap "
+        f"interval. A reference's noise is subtracted from errors. Luminance 1 is {suite.white_luminance:g} cd/m2. MSE "
+        "is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`. Bias is of mean luminance, with its standard error "
+        "over seeds; before correction: of the plain mean of all samples. Seconds are medians; renderer and sampler "
+        "(ask, tell and the image) are shares of the total. Limit reached: the least error that independent samples "
+        "can have (Neyman's allocation by known variances), over the method's."
+    )
+
+
+def _table(found: Results, scene: str, budget: str) -> str:
+    suite = found.suite
+    errors = {name: title for name, title in ERRORS.items() if name in suite.metrics}
+    limits = {
+        name: title
+        for name, title in errors.items()
+        if any(row[f"limit.{name}"] is not None for row in found.done if row["scene"] == scene)
+    }
+    head = ["method"]
+    for title in errors.values():
+        head += [title, f"{title} factor"]
+    head += [f"limit reached: {title}" for title in limits.values()]
+    head += ["bias %", "before correction %", "spp", "seconds", "renderer", "sampler"]
+    lines = []
+    for method in suite.methods:
+        own = found.select(scene, method.name, budget)
+        if not own:
+            continue
+        cells = [method.name]
+        for name in errors:
+            cells += [f"{_median(own, name):.3g}", _factor(found, scene, budget, method.name, name)]
+        for name in limits:
+            cells.append(f"{statistics.median_interval([row[f'limit.{name}'] / row[name] for row in own]).median:.0%}")
+        cells += [_bias([row["bias"] for row in own]), _bias([row["plain_bias"] for row in own])]
+        cells += [f"{_median(own, 'spp'):.4g}", f"{_median(own, 'seconds.total'):.2f}"]
+        cells += [_share(own, "renderer"), _share(own, "sampler")]
+        lines.append("| " + " | ".join(cells) + " |")
+    title = f"### {budget.removesuffix('spp')} samples per pixel" if budget.endswith("spp") else f"### {budget[:-1]} s"
+    if not lines:
+        return f"{title}\n\nNo run has finished."
+    return f"{title}\n\n| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|\n" + "\n".join(lines)
+
+
+def _notes(found: Results, rows: Sequence[Row]) -> str:
+    first = rows[0]
+    scene = next(scene for scene in found.suite.scenes if scene.name == first["scene"])
+    budgets = [budget for budget in scene.budgets if budget.kind == "spp"]
+    slopes = []
+    if len(budgets) > 1:
+        for method in found.suite.methods:
+            interval = found.slope(scene.name, method.name, "mse") if "mse" in found.suite.metrics else None
+            if interval is not None:
+                slopes.append(f"{method.name} {_interval(interval)}")
+    slope = f"\n\nSlope of log MSE against log samples: {'; '.join(slopes)}." if slopes else ""
+    return (
+        f"{first['width']}x{first['height']} pixels, {first['renderer']}, reference of "
+        f"{first['reference.spp']} samples per pixel. Subtracted for its own noise: MSE {first['reference.mse']:.3g}, "
+        f"tvi error {first['reference.tvi_error']:.3g}. Standard error of its mean luminance: "
+        f"{100 * first['reference.bias']:.3f} %, not part of the biases' errors.{slope}"
+    )
+
+
+def _median(rows: Sequence[Row], name: str) -> float:
+    return statistics.median_interval([row[name] for row in rows]).median
+
+
+def _factor(found: Results, scene: str, budget: str, method: str, name: str) -> str:
+    if method == found.suite.baseline:
+        return "1"
+    base, own = found.pairs(scene, budget, found.suite.baseline, method, name)
+    return _interval(statistics.ratio_interval(base, own)) if own else ""
+
+
+def _share(rows: Sequence[Row], part: str) -> str:
+    shares = [100 * row[f"seconds.{part}"] / row["seconds.total"] for row in rows]
+    return f"{statistics.median_interval(shares).median:.1f} %"
+
+
+def _interval(value: statistics.Interval) -> str:
+    return f"{value.median:.2f} ({value.low:.2f} to {value.high:.2f})"
+
+
+def _bias(values: Sequence[float]) -> str:
+    mean, error = statistics.mean_error(values)
+    return f"{100 * mean:+.3f} ± {100 * error:.3f}"

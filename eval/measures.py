@@ -1,0 +1,83 @@
+"""The errors that a benchmark measures, by name: each metric with what a reference and a suite know."""
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pmc_sampler import luminance, tvi
+
+from . import metrics
+from .references import Reference
+from .statistics import neyman_error
+
+TILE = 16
+"""Side in pixels of the tiles whose mean luminance is kept of every run, for tests of bias."""
+
+Image = NDArray[Any]
+Measure = Callable[[Image, Reference, float], float]
+
+MEASURES: dict[str, Measure] = {
+    "mse": lambda x, r, white: metrics.mse(x, r.mean, reference_variance=r.variance),
+    "rmse": lambda x, r, white: metrics.rmse(x, r.mean, reference_variance=r.variance),
+    "psnr": lambda x, r, white: metrics.psnr(x, r.mean, reference_variance=r.variance),
+    "relmse": lambda x, r, white: metrics.relmse(x, r.mean, reference_variance=r.variance),
+    "relmse_trimmed": lambda x, r, white: metrics.relmse(x, r.mean, trim=0.001, reference_variance=r.variance),
+    "smape": lambda x, r, white: metrics.smape(x, r.mean),
+    "tvi_error": lambda x, r, white: metrics.tvi_error(
+        x, r.mean, white_luminance=white, reference_variance=r.luminance_variance
+    ),
+    "threshold_ratio": lambda x, r, white: metrics.threshold_ratio(x, r.mean, white_luminance=white),
+    "visible_pixels": lambda x, r, white: metrics.visible_pixels(x, r.mean, white_luminance=white),
+    "ssim": lambda x, r, white: metrics.ssim(x, r.mean),
+    "flip": lambda x, r, white: metrics.flip(x, r.mean, exposures=metrics.flip_exposures(r.mean)),
+}
+"""Functions of (image, reference, white_luminance); the reference's own noise is subtracted where it can be."""
+
+DEFAULT = ("mse", "relmse", "relmse_trimmed", "smape", "tvi_error", "threshold_ratio", "visible_pixels", "ssim")
+"""What is measured unless a suite says otherwise: all that takes a small part of a run's time."""
+
+
+def measure(image: Image, reference: Reference, white_luminance: float, names: Iterable[str]) -> dict[str, float]:
+    """The named measures of an image (height, width, 3)."""
+    return {name: MEASURES[name](image, reference, white_luminance) for name in names}
+
+
+def reference_noise(reference: Reference, white_luminance: float) -> dict[str, float]:
+    """What the reference's own variance adds to the squared errors, and takes part in the bias: what is subtracted."""
+    same = MEASURES["tvi_error"](reference.mean, reference, white_luminance)
+    return {"mse": float(reference.variance.mean()), "tvi_error": -same, "bias": reference.bias_error}
+
+
+def neyman(radiance: Any, reference: Reference, white_luminance: float, spp: float) -> dict[str, float | None]:
+    """The least MSE and tvi error that independent samples can have at ``spp`` samples a pixel on average.
+
+    None where ``radiance`` does not know the variance of its samples, as a recording does (`variance`,
+    `luminance_variance`).
+    """
+    if not hasattr(radiance, "variance") or not hasattr(radiance, "luminance_variance"):
+        return {"mse": None, "tvi_error": None}
+    weight = (white_luminance / np.asarray(tvi(_luminance(reference.mean) * white_luminance))) ** 2
+    return {
+        "mse": neyman_error(np.asarray(radiance.variance, dtype=np.float64).mean(axis=2), spp),
+        "tvi_error": neyman_error(np.asarray(radiance.luminance_variance, dtype=np.float64) * weight, spp),
+    }
+
+
+def tiles(image: Image) -> NDArray[np.float64]:
+    """Mean luminance of tiles of ``TILE`` pixels; those at the right and the bottom may be smaller."""
+    return tile_means(_luminance(image))
+
+
+def tile_means(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Means of (height, width) values over tiles of ``TILE`` pixels."""
+    rows, columns = (np.arange(0, side, TILE) for side in values.shape)
+    sums = np.add.reduceat(np.add.reduceat(values, rows, axis=0), columns, axis=1)
+    heights = np.diff(np.append(rows, values.shape[0]))
+    widths = np.diff(np.append(columns, values.shape[1]))
+    return np.asarray(sums / np.outer(heights, widths))
+
+
+def _luminance(image: Image) -> NDArray[np.float64]:
+    return np.asarray(luminance(np.asarray(image, dtype=np.float64)), dtype=np.float64)

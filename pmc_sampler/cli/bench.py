@@ -1,0 +1,90 @@
+"""``pmc-sampler bench``: runs a suite's missing runs into a folder of results."""
+
+import argparse
+import contextlib
+import importlib
+import signal
+import time
+from collections.abc import Iterator
+from types import FrameType
+from typing import Any
+
+from .errors import CommandError
+from .optional import load
+from .progress import progress
+
+INTERRUPTED = 130
+
+
+def bench(options: argparse.Namespace) -> int:
+    """Run what is missing, write the page of results and say what it took; returns the exit status."""
+    suite_module = load("pmc_sampler.eval.suite", "benchmarks", "eval")
+    benchmark = load("pmc_sampler.eval.benchmark", "benchmarks", "eval")
+    results = load("pmc_sampler.eval.results", "benchmarks", "eval")
+    markdown = load("pmc_sampler.eval.markdown", "benchmarks", "eval")
+    for module in ("pyarrow", "tomli_w"):
+        load(module, "benchmarks", "eval")
+    if options.output.exists() and not options.output.is_dir():
+        raise CommandError(f"the output {str(options.output)!r} is a file; name a folder.")
+    began = time.perf_counter()
+    try:
+        suite = suite_module.read(suite_module.find(options.suite))
+        adapters = importlib.import_module("pmc_sampler.adapters")
+        with (
+            _terminated_as_interrupted(),
+            _executor(options.scheduler) as execute,
+            progress(f"suite {suite.name}") as shown,
+        ):
+            benchmark.run(
+                suite,
+                results.Folder(options.output),
+                benchmark.Renderers(adapters.load, adapters.version),
+                cache=options.cache,
+                execute=execute,
+                progress=shown,
+            )
+    except (suite_module.BadSuiteError, results.BadResultsError) as error:
+        raise CommandError(str(error)) from error
+    except KeyboardInterrupt:
+        raise CommandError(
+            f"interrupted; {options.output} holds the runs until then, and the same command goes on from there.",
+            INTERRUPTED,
+        ) from None
+    found = results.load(options.output)
+    page = options.output / "results.md"
+    results.write(page, lambda part: part.write_text(markdown.page(found), encoding="utf-8"))
+    print(f"{len(found.done)} runs are in {options.output}, {time.perf_counter() - began:.0f} s; {page} is written.")
+    if found.failed:
+        first = found.failed[0]
+        raise CommandError(
+            f"{len(found.failed)} runs failed, the first ({first['scene']}, {first['method']}): {first['error']}",
+            status=1,
+        )
+    return 0
+
+
+@contextlib.contextmanager
+def _executor(address: str | None) -> Iterator[Any]:
+    executors = load("pmc_sampler.eval.executors", "benchmarks", "eval")
+    if address is None:
+        yield executors.in_process
+        return
+    try:
+        with executors.on_cluster(address) as execute:
+            yield execute
+    except executors.ClusterError as error:
+        raise CommandError(str(error)) from error
+
+
+@contextlib.contextmanager
+def _terminated_as_interrupted() -> Iterator[None]:
+    """A termination signal, too, leaves a folder that can be resumed."""
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
