@@ -116,11 +116,13 @@ def run(
                 row = _failure(suite, run_id, one, versions[scene.name], error)
                 folder.store(row)
                 clock.ended(one, row)
-            log(f"{scene.name}: {todo[0][1].scene.name} cannot be measured: {_sentence(error)}")
+            log(f"{scene.name} cannot be measured: {_sentence(error)}")
             continue
         folder.store_image(results.reference_name(scene.name), *results.reference_image(job.reference, scene))
         for place, outcome in execute(measure, job, todo):
-            _, one = todo[place]
+            run_id, one = todo[place]
+            if isinstance(outcome, Exception):  # a worker that died, more than once
+                outcome = Outcome(_failure(suite, run_id, one, versions[scene.name], outcome))
             if outcome.image is not None:
                 name = results.image_name(scene.name, one.method.name, str(one.budget))
                 metadata = {

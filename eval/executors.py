@@ -1,7 +1,8 @@
 """Where runs are done: in this process, one after the other, or on the workers of a Dask cluster.
 
 An executor is a function of a task, what all its calls share, and the calls' arguments; it yields pairs of an
-argument's place and its result, as they come. Tasks return what went wrong instead of raising.
+argument's place and its result, as they come. Tasks return what went wrong instead of raising; an exception that is
+yielded is the executor's own, of a call that it could not do.
 """
 
 import contextlib
@@ -11,12 +12,12 @@ from typing import Any, TypeVar
 Argument = TypeVar("Argument")
 Outcome = TypeVar("Outcome")
 Task = Callable[[Any, Argument], Outcome]
-Executor = Callable[[Task[Argument, Outcome], Any, Sequence[Argument]], Iterator[tuple[int, Outcome]]]
+Executor = Callable[[Task[Argument, Outcome], Any, Sequence[Argument]], Iterator[tuple[int, Outcome | Exception]]]
 
 
 def in_process(
     task: Task[Argument, Outcome], shared: Any, arguments: Sequence[Argument]
-) -> Iterator[tuple[int, Outcome]]:
+) -> Iterator[tuple[int, Outcome | Exception]]:
     """``task(shared, argument)`` for each argument, in their order."""
     for place, argument in enumerate(arguments):
         yield place, task(shared, argument)
@@ -30,9 +31,10 @@ class ClusterError(RuntimeError):
 def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any]]:
     """An executor on the cluster whose scheduler is at ``address``, such as ``tcp://host:8786``.
 
-    ``shared`` is sent to each worker once. A call whose worker dies is done again on another; one that has taken
-    three workers with it raises, as does all that the cluster itself cannot do. Calls that are not finished when the
-    caller leaves the loop are cancelled. Raises :class:`ClusterError` where there is no scheduler, or no `distributed`.
+    ``shared`` is sent to each worker once. A call whose worker dies is done again on another, and gives an exception
+    once it has taken several workers with it (Dask's `distributed.scheduler.allowed-failures`). Calls that are not
+    finished when the caller leaves the loop are cancelled. Raises :class:`ClusterError` where there is no scheduler, or
+    no more, and without the package `distributed`.
     """
     try:
         import distributed
@@ -57,7 +59,12 @@ def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any
         }
         try:
             for future in distributed.as_completed(futures):
-                yield futures[future], future.result()
+                if future.status == "finished":
+                    yield futures[future], future.result()
+                elif future.status == "error":
+                    yield futures[future], future.exception()
+                else:
+                    raise ClusterError(f"the Dask scheduler at {address!r} was lost; the same command goes on.")
                 future.release()
         finally:
             client.cancel(list(futures))

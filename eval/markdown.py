@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 from . import statistics
 from .results import Results, Row
+from .suite import shipped
 
 ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
 """The columns that the page has factors of, where the suite measures them."""
@@ -36,9 +37,10 @@ def _preamble(found: Results) -> str:
     named = "; ".join(", ".join(f"{name} {version}" for name, version in json.loads(v).items()) for v in versions)
     machines = "; ".join(sorted({row["machine"] for row in found.done}))
     rejected = sum(row["rejected"] for row in found.done)
+    again = suite.name if suite.name in shipped() else f"{found.path.name}/suite.toml"
     return (
         f"# Suite {suite.name}\n\n{suite.about}\n\n"
-        f"`pmc-sampler bench {suite.name} -o {found.path.name}`\n\n"
+        f"`pmc-sampler bench {again} -o {found.path.name}`\n\n"
         f"{suite.seeds} seeds.{incomplete} {named}. {machines}. "
         f"{rejected} samples were rejected as not finite or negative.\n\n"
         f"Factors are the error of *{suite.baseline}* over the method's, taken seed by seed: median and 95 % bootstrap "

@@ -136,7 +136,7 @@ def welch(
         )
     still = (spread == 0) & (deviation == 0)
     same = still & (mean == other)
-    t = np.where(still, np.where(same, 0.0, np.sign(mean - other) * np.inf), t)
+    t = np.where(still, np.where(same, 0.0, np.where(mean > other, np.inf, -np.inf)), t)
     p = np.where(still, np.where(same, 1.0, 0.0), p)
     return Welch(mean - other, t, p, alpha, float(-np.expm1(np.log1p(-alpha) / max(p.size, 1))))
 

@@ -7,7 +7,6 @@ import signal
 import time
 from collections.abc import Iterator
 from types import FrameType
-from typing import Any
 
 from .errors import CommandError
 from .optional import load
@@ -22,17 +21,20 @@ def bench(options: argparse.Namespace) -> int:
     benchmark = load("pmc_sampler.eval.benchmark", "benchmarks", "eval")
     results = load("pmc_sampler.eval.results", "benchmarks", "eval")
     markdown = load("pmc_sampler.eval.markdown", "benchmarks", "eval")
+    executors = load("pmc_sampler.eval.executors", "benchmarks", "eval")
     for module in ("pyarrow", "tomli_w"):
         load(module, "benchmarks", "eval")
     if options.output.exists() and not options.output.is_dir():
         raise CommandError(f"the output {str(options.output)!r} is a file; name a folder.")
+    address = options.scheduler
+    executor = contextlib.nullcontext(executors.in_process) if address is None else executors.on_cluster(address)
     began = time.perf_counter()
     try:
         suite = suite_module.read(suite_module.find(options.suite))
         adapters = importlib.import_module("pmc_sampler.adapters")
         with (
             _terminated_as_interrupted(),
-            _executor(options.scheduler) as execute,
+            executor as execute,
             progress(f"suite {suite.name}") as shown,
         ):
             benchmark.run(
@@ -43,7 +45,7 @@ def bench(options: argparse.Namespace) -> int:
                 execute=execute,
                 progress=shown,
             )
-    except (suite_module.BadSuiteError, results.BadResultsError) as error:
+    except (suite_module.BadSuiteError, results.BadResultsError, executors.ClusterError) as error:
         raise CommandError(str(error)) from error
     except KeyboardInterrupt:
         raise CommandError(
@@ -61,19 +63,6 @@ def bench(options: argparse.Namespace) -> int:
             status=1,
         )
     return 0
-
-
-@contextlib.contextmanager
-def _executor(address: str | None) -> Iterator[Any]:
-    executors = load("pmc_sampler.eval.executors", "benchmarks", "eval")
-    if address is None:
-        yield executors.in_process
-        return
-    try:
-        with executors.on_cluster(address) as execute:
-            yield execute
-    except executors.ClusterError as error:
-        raise CommandError(str(error)) from error
 
 
 @contextlib.contextmanager

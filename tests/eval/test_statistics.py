@@ -6,7 +6,14 @@ import math
 
 import numpy as np
 import pytest
-from pmc_sampler.eval.statistics import mean_error, median_interval, ratio_interval
+from pmc_sampler.eval.statistics import (
+    mean_error,
+    median_interval,
+    neyman_error,
+    ratio_interval,
+    slope_interval,
+    welch,
+)
 
 
 def test_median_lies_in_its_interval() -> None:
@@ -56,3 +63,54 @@ def test_mean_error_is_the_textbook_one() -> None:
 def test_nothing_is_refused(function: object) -> None:
     with pytest.raises(ValueError, match="at least one"):
         function([])  # type: ignore[operator]
+
+
+def test_slopes_are_those_of_power_laws() -> None:
+    budgets = [4.0, 16.0, 64.0]
+    errors = [[scale * budget**-1.5 for budget in budgets] for scale in (1.0, 7.0, 0.1)]
+    interval = slope_interval(budgets, errors)
+    assert interval.low == pytest.approx(-1.5)
+    assert interval.median == pytest.approx(-1.5)
+    assert interval.high == pytest.approx(-1.5)
+    with pytest.raises(ValueError, match="two budgets or more"):
+        slope_interval([4.0], [[1.0]])
+    with pytest.raises(ValueError, match="above 0"):
+        slope_interval(budgets, [[1.0, 0.1, -0.01]])
+
+
+def test_welch_is_scipy_s_test_of_the_samples() -> None:
+    """The reference as its mean and the variance of that gives what its replicates themselves give."""
+    stats = pytest.importorskip("scipy.stats")
+    rng = np.random.default_rng(5)
+    replicates, reference = rng.normal(1.0, 0.1, (6, 3, 4)), rng.normal(1.05, 0.3, (16, 3, 4))
+    found = welch(replicates, reference.mean(axis=0), reference.var(axis=0, ddof=1) / 16, 16, alpha=0.05)
+    expected = stats.ttest_ind(replicates, reference, equal_var=False)
+    np.testing.assert_allclose(found.t, expected.statistic)
+    np.testing.assert_allclose(found.p, expected.pvalue)
+    # Sidak: with 12 places the chance of no false alarm is 0.95.
+    assert (1 - found.threshold) ** 12 == pytest.approx(0.95)
+
+
+def test_welch_against_an_exact_mean_is_the_one_sample_test() -> None:
+    stats = pytest.importorskip("scipy.stats")
+    replicates = np.random.default_rng(6).normal(1.0, 0.1, (9, 5))
+    found = welch(replicates, np.full(5, 1.02), np.zeros(5), 1)
+    expected = stats.ttest_1samp(replicates, 1.02)
+    np.testing.assert_allclose(found.t, expected.statistic)
+    np.testing.assert_allclose(found.p, expected.pvalue)
+
+
+def test_welch_where_nothing_varies() -> None:
+    found = welch(np.ones((3, 2)), np.array([1.0, 2.0]), np.zeros(2), 1)
+    assert found.biased.tolist() == [False, True]
+    with pytest.raises(ValueError, match="two seeds"):
+        welch(np.ones((1, 2)), np.ones(2), np.zeros(2), 1)
+
+
+def test_the_neyman_error_is_that_of_its_allocation() -> None:
+    """Samples in proportion to s give sum(s^2 / n) / pixels; moving some from one pixel to another gives more."""
+    s = np.array([1.0, 2.0, 5.0])
+    n = 3 * 8 * s / s.sum()
+    assert neyman_error(s**2, 8) == pytest.approx((s**2 / n).mean())
+    for moved in (0.5, -0.5):
+        assert (s**2 / (n + np.array([moved, -moved, 0.0]))).mean() > neyman_error(s**2, 8)
