@@ -6,6 +6,7 @@ yielded is the executor's own, of a call that it could not do.
 """
 
 import contextlib
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
@@ -31,7 +32,7 @@ class ClusterError(RuntimeError):
 def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any]]:
     """An executor on the cluster whose scheduler is at ``address``, such as ``tcp://host:8786``.
 
-    ``shared`` is sent to each worker once. A call whose worker dies is done again on another, and gives an exception
+    ``shared`` is sent once. A call whose worker dies is done again on another, and gives an exception
     once it has taken several workers with it (Dask's `distributed.scheduler.allowed-failures`). Calls that are not
     finished when the caller leaves the loop are cancelled. Raises :class:`ClusterError` where there is no scheduler, or
     no more, and without the package `distributed`.
@@ -51,14 +52,16 @@ def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any
         ) from error
 
     def execute(task: Any, shared: Any, arguments: Sequence[Any]) -> Iterator[tuple[int, Any]]:
-        # Not broadcast: workers may join and leave, and each fetches it with its first run.
-        sent = client.scatter(shared, hash=False)
+        # A task of its own, not scattered data: that would be lost with the worker that has it.
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Sending large graph")
+            sent = client.submit(_same, shared, pure=False)
         futures = {
             client.submit(task, sent, argument, pure=False, retries=0): place
             for place, argument in enumerate(arguments)
         }
         try:
-            for future in distributed.as_completed(futures):
+            for future in distributed.as_completed(futures, loop=client.loop):
                 if future.status == "finished":
                     yield futures[future], future.result()
                 elif future.status == "error":
@@ -71,3 +74,7 @@ def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any
 
     with client:
         yield execute
+
+
+def _same(shared: Any) -> Any:
+    return shared
