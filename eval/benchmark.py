@@ -154,6 +154,12 @@ def check(suite: Suite) -> None:
         stand_in = SimpleNamespace(width=width, height=height, **(knowledge if known else {}))
         for method in suite.methods:
             if method.scenes is None or scene.name in method.scenes:
+                if method.native:
+                    if known:
+                        raise BadSuiteError(
+                            f"method {method.name!r} is the renderer's own: {scene.name!r} is a recording."
+                        )
+                    continue  # the renderer says what is wrong with its settings
                 try:
                     _sampler(suite, Run(scene, method, scene.budgets[0], 1), stand_in)
                 except (ValueError, TypeError) as error:
@@ -173,30 +179,59 @@ def _measured(job: Job, run_id: str, one: Run) -> Outcome:
     identity = key(_settings(job.scene, job.versions))
     radiance = _radiance(identity, job.renderers, job.scene, job.recording, one.method.numbers)
     started = _now()
-    sampler = _sampler(job.suite, one, radiance)
-    image, seconds = _sampled(sampler, radiance)
-    film, white, reference = sampler.film, job.suite.white_luminance, job.reference
-    limit = measures.neyman(radiance, reference, white, sampler.spp)
+    made = _native(one, radiance) if one.method.native else _sampled(_sampler(job.suite, one, radiance), radiance)
+    white, reference = job.suite.white_luminance, job.reference
+    limit = measures.neyman(radiance, reference, white, made.spp)
     noise = measures.reference_noise(reference, white)
+    height, width = made.image.shape[:2]
     row = {
         **_described(job.suite, run_id, one, job.versions, started),
         "error": None,
-        **{"width": sampler.width, "height": sampler.height, "samples": int(sampler.samples)},
-        **{"spp": float(sampler.spp), "rejected": int(sampler.rejected), "done": str(sampler.done)},
-        **{f"seconds.{part}": spent for part, spent in seconds.items()},
-        **measures.measure(image, reference, white, job.suite.metrics),
-        "bias": metrics.bias(image, reference.mean),
-        "plain_bias": metrics.bias(film.plain_mean, reference.mean),
+        **{"width": width, "height": height, "samples": made.samples},
+        **{"spp": made.spp, "rejected": made.rejected, "done": made.done},
+        **{f"seconds.{part}": spent for part, spent in made.seconds.items()},
+        **measures.measure(made.image, reference, white, job.suite.metrics),
+        "bias": metrics.bias(made.image, reference.mean),
+        "plain_bias": metrics.bias(made.layers.get("plain", made.image), reference.mean),
         "reference.spp": reference.spp,
         **{f"reference.{name}": value for name, value in noise.items()},
         **{f"limit.{name}": value for name, value in limit.items()},
-        "tiles": measures.tiles(image).tolist(),
+        "tiles": measures.tiles(made.image).tolist(),
     }
-    return Outcome(row, image, _layers(film)) if one.seed == 1 else Outcome(row)
+    return Outcome(row, made.image, made.layers) if one.seed == 1 else Outcome(row)
 
 
-def _sampled(sampler: Any, radiance: Any) -> tuple[NDArray[np.float32], dict[str, float]]:
-    """Sample until the budget is met: the image, and the seconds it took, in all and in each part.
+@dataclass(frozen=True)
+class _Made:
+    """An image, and what it took; ``seconds`` in all ("total") and in each part."""
+
+    image: NDArray[np.float32]
+    samples: int
+    seconds: Mapping[str, float]
+    done: str
+    rejected: int = 0
+    layers: Mapping[str, NDArray[Any]] = field(default_factory=dict)
+
+    @property
+    def spp(self) -> float:
+        """Samples over pixels."""
+        return self.samples / (self.image.shape[0] * self.image.shape[1])
+
+
+def _native(one: Run, radiance: Any) -> _Made:
+    """The image by the renderer's own way to choose samples."""
+    settings = one.method.settings_on(one.scene.name)
+    del settings["sampler"]
+    if not hasattr(radiance, "native"):
+        raise ValueError(f"the renderer {one.scene.renderer!r} has no sampling of its own")
+    made = radiance.native(**settings)
+    return _Made(
+        made.mean, made.samples, {"total": made.seconds, "renderer": made.seconds, "sampler": 0.0}, one.budget.kind
+    )
+
+
+def _sampled(sampler: Any, radiance: Any) -> _Made:
+    """The image by a sampler, which samples until its budget is met.
 
     The image's making counts as the sampler's: it is where PMC corrects its energy.
     """
@@ -214,7 +249,8 @@ def _sampled(sampler: Any, radiance: Any) -> tuple[NDArray[np.float32], dict[str
     start = time.perf_counter()
     image = sampler.film.mean
     ended = time.perf_counter()
-    return image, {"total": ended - began, "renderer": in_renderer, "sampler": in_sampler + ended - start}
+    seconds = {"total": ended - began, "renderer": in_renderer, "sampler": in_sampler + ended - start}
+    return _Made(image, int(sampler.samples), seconds, str(sampler.done), int(sampler.rejected), _layers(sampler.film))
 
 
 def _layers(film: Any) -> dict[str, NDArray[Any]]:
@@ -396,7 +432,8 @@ class _Clock:
         del self._left[id(run)]
         if row["error"] is None:
             self._spent += row["seconds.total"]
-            self._rates.setdefault((run.scene.name, run.method.name), []).append(row["seconds.total"] / row["spp"])
+            per = 1.0 if run.method.native else row["spp"]
+            self._rates.setdefault((run.scene.name, run.method.name), []).append(row["seconds.total"] / per)
 
     @property
     def left(self) -> float:

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from . import statistics
 from .results import Results, Row
-from .suite import shipped
+from .suite import OWN, shipped
 
 ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
 """The columns that the page has factors of, where the suite measures them."""
@@ -19,6 +19,8 @@ def page(found: Results) -> str:
         parts.append(f"## {scene.name}")
         for budget in scene.budgets:
             parts.append(_table(found, scene.name, str(budget)))
+        if OWN in found.suite.budgets(scene):
+            parts.append(_native_table(found, scene.name))
         if rows:
             parts.append(_notes(found, rows))
     if found.failed:
@@ -80,6 +82,36 @@ def _table(found: Results, scene: str, budget: str) -> str:
         cells += [_share(own, "renderer"), _share(own, "sampler")]
         lines.append("| " + " | ".join(cells) + " |")
     title = f"### {budget.removesuffix('spp')} samples per pixel" if budget.endswith("spp") else f"### {budget[:-1]} s"
+    if not lines:
+        return f"{title}\n\nNo run has finished."
+    return f"{title}\n\n| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|\n" + "\n".join(lines)
+
+
+def _native_table(found: Results, scene: str) -> str:
+    """What the renderer makes by its own way to choose samples, and the other methods' errors in no more time."""
+    errors = {name: title for name, title in ERRORS.items() if name in found.suite.metrics}
+    others = [method.name for method in found.suite.methods if not method.native]
+    head = ["the renderer's own", *errors.values(), "bias %", "spp", "seconds"]
+    head += [f"over {other} in no more time: {title}" for other in others for title in errors.values()]
+    lines = []
+    for method in found.suite.methods:
+        own = found.select(scene, method.name, str(OWN)) if method.native else []
+        if not own:
+            continue
+        seconds = _median(own, "seconds.total")
+        cells = [method.name, *(f"{_median(own, name):.3g}" for name in errors)]
+        cells += [_bias([row["bias"] for row in own]), f"{_median(own, 'spp'):.4g}", f"{seconds:.2f}"]
+        for other in others:
+            for name in errors:
+                rows = found.within(scene, other, seconds, name)
+                cells.append(
+                    f"{_median(own, name) / _median(rows, name):.2f} at {rows[0]['budget']}, "
+                    f"{_median(rows, 'seconds.total'):.2f} s"
+                    if rows
+                    else "none is as fast"
+                )
+        lines.append("| " + " | ".join(cells) + " |")
+    title = "### The renderer's own"
     if not lines:
         return f"{title}\n\nNo run has finished."
     return f"{title}\n\n| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|\n" + "\n".join(lines)

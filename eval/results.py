@@ -111,6 +111,20 @@ class Results:
         seeds = [seed for seed in own if seed in base]
         return [base[seed] for seed in seeds], [own[seed] for seed in seeds]
 
+    def within(self, scene: str, method: str, seconds: float, column: str) -> list[Row]:
+        """The rows of a method on a scene, at that of its budgets with the least median error in no more time.
+
+        ``seconds`` is compared with the budget's median time; empty where every budget takes longer.
+        """
+        (entry,) = (one for one in self.suite.scenes if one.name == scene)
+        at_budgets = [self.select(scene, method, str(budget)) for budget in self.suite.budgets(entry)]
+
+        def median(rows: list[Row], name: str) -> float:
+            return statistics.median_interval([row[name] for row in rows]).median
+
+        fast = [rows for rows in at_budgets if rows and median(rows, "seconds.total") <= seconds]
+        return min(fast, key=lambda rows: median(rows, column), default=[])
+
     def slope(self, scene: str, method: str, column: str) -> statistics.Interval | None:
         """Slope of log error against log samples, over the seeds that have every budget in samples.
 

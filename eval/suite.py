@@ -32,13 +32,19 @@ class BadSuiteError(ValueError):
 
 @dataclass(frozen=True)
 class Budget:
-    """When a run ends: ``kind`` is "spp" or "seconds", ``value`` how many."""
+    """When a run ends: ``kind`` is "spp" or "seconds", ``value`` how many; see also :data:`OWN`."""
 
     kind: str
     value: float
 
     def __str__(self) -> str:
+        if self == OWN:
+            return self.kind
         return f"{self.value:g}{'spp' if self.kind == 'spp' else 's'}"
+
+
+OWN = Budget("own", 1.0)
+"""Of a renderer that ends by itself, see :attr:`Method.native`."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +82,11 @@ class Method:
     scenes: tuple[str, ...] | None = None
     on: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
+    @property
+    def native(self) -> bool:
+        """Whether it is the renderer's own way to choose samples, its method ``native``, to which settings go."""
+        return bool(self.settings["sampler"] == "native")
+
     def settings_on(self, scene: str) -> dict[str, Any]:
         """The settings on a scene."""
         return {**self.settings, **self.on.get(scene, {})}
@@ -112,14 +123,22 @@ class Suite:
         """The runs on a scene in the order of running.
 
         Each seed has all budgets and methods before the next begins, and the methods of a budget begin with
-        another one each time, so that a machine's drift hits all alike.
+        another one each time, so that a machine's drift hits all alike. Native ones run once a seed.
         """
-        methods = [method for method in self.methods if method.scenes is None or scene.name in method.scenes]
+        chosen = [method for method in self.methods if method.scenes is None or scene.name in method.scenes]
+        methods = [method for method in chosen if not method.native]
         for seed in range(1, self.seeds + 1):
             for place, budget in enumerate(scene.budgets):
-                turn = (seed - 1 + place) % len(methods)
+                turn = (seed - 1 + place) % max(len(methods), 1)
                 for method in methods[turn:] + methods[:turn]:
                     yield Run(scene, method, budget, seed)
+            for method in chosen:
+                if method.native:
+                    yield Run(scene, method, OWN, seed)
+
+    def budgets(self, scene: Scene) -> tuple[Budget, ...]:
+        """The budgets of the runs on a scene."""
+        return tuple(dict.fromkeys(run.budget for run in self.runs(scene)))
 
     def to_dict(self) -> dict[str, Any]:
         """The suite with nothing left to defaults, sweeps or other files, as :func:`parse` takes it."""
@@ -166,7 +185,8 @@ def read(path: str | Path) -> Suite:
     ``name``, ``numbers`` and settings for :func:`pmc_sampler.eval.baselines.make`; ``config``, a TOML file of
     more settings; ``scenes``, those it runs on; ``[method.on.SCENE]``, settings for one scene; and
     ``[method.sweep]``, lists of values: one method for each combination, named by the ``{setting}`` in ``name``.
-    Paths are relative to the suite. Raises :class:`BadSuiteError`.
+    With ``sampler = "native"`` a method is the renderer's own way to choose samples, and ends by itself. Paths are
+    relative to the suite. Raises :class:`BadSuiteError`.
     """
     try:
         return parse(toml.read(path), Path(path).resolve().parent)

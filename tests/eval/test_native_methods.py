@@ -1,0 +1,93 @@
+"""A renderer's own way to choose samples in a benchmark. Exact, but for times."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from pmc_sampler.eval import benchmark, images, markdown, results, suite
+
+pytestmark = pytest.mark.needs("skimage", "pyarrow", "tomli_w", "OpenImageIO")
+
+SIZE = (24, 20)
+GIVEN: dict[str, Any] = {
+    "name": "own",
+    "about": "A renderer that has a way of its own.",
+    "size": list(SIZE),
+    "spp": [4],
+    "seconds": [0.1],
+    "seeds": 2,
+    "renderer": "noisy",
+    "reference_spp": 64,
+    "baseline": "PT",
+    "scene": [{"name": "diffuse"}],
+    "method": [
+        {"name": "PT", "sampler": "uniform"},
+        {"name": "grid {depth}", "sampler": "native", "sweep": {"depth": [1, 2]}},
+    ],
+}
+
+
+@pytest.fixture
+def renderers(noisy: type) -> Any:
+    """Renderers whose own image is the true one times its settings' `depth`, and takes 100 s for each."""
+
+    class Own(noisy):  # type: ignore[misc]
+        def native(self, *, depth: int) -> SimpleNamespace:
+            return SimpleNamespace(
+                mean=(depth * self.mean).astype(np.float32), samples=depth * 480, seconds=100.0 * depth
+            )
+
+    return benchmark.Renderers(lambda renderer, scene, *, sampler, size: Own(*size), lambda renderer: "1")
+
+
+def test_native_methods_run_once_a_seed(renderers: Any, tmp_path: Path, noisy: type) -> None:
+    made = suite.parse(GIVEN)
+    assert [str(budget) for budget in made.budgets(made.scenes[0])] == ["4spp", "0.1s", "own"]
+    benchmark.run(made, results.Folder(tmp_path), renderers, cache=tmp_path / "cache")
+    found = results.load(tmp_path)
+    assert not found.failed
+    assert not found.missing
+    for depth in (1, 2):
+        rows = found.select("diffuse", f"grid {depth}", "own")
+        assert [row["seed"] for row in rows] == [1, 2]
+        for row in rows:
+            assert (row["spp"], row["samples"], row["done"]) == (depth, depth * 480, "own")
+            assert (row["seconds.total"], row["seconds.sampler"]) == (100 * depth, 0.0)
+            assert row["bias"] == row["plain_bias"] == pytest.approx(depth - 1, abs=0.1)
+        path = found.image_path("diffuse", f"grid {depth}", "own")
+        assert path is not None
+        np.testing.assert_array_equal(images.read(path).rgb, (depth * noisy(*SIZE).mean).astype(np.float32))
+    assert len(found.select("diffuse", "PT", "4spp")) == 2
+    before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.parquet"))
+    benchmark.run(made, results.Folder(tmp_path), renderers, cache=tmp_path / "cache")
+    assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.parquet")) == before
+
+
+def test_the_page_compares_in_no_more_time(renderers: Any, tmp_path: Path) -> None:
+    benchmark.run(suite.parse(GIVEN), results.Folder(tmp_path), renderers, cache=tmp_path / "cache")
+    found = results.load(tmp_path)
+    assert found.within("diffuse", "PT", 1e-9, "mse") == []
+    best = found.within("diffuse", "PT", 100.0, "mse")
+    assert {row["budget"] for row in best} == {"0.1s"}, "it has more samples than 4 a pixel, and less error"
+    page = markdown.page(found)
+    (line,) = (line for line in page.splitlines() if line.startswith("| grid 2"))
+    own = found.select("diffuse", "grid 2", "own")
+    ratio = np.median([row["mse"] for row in own]) / np.median([row["mse"] for row in best])
+    assert f"{ratio:.2f} at 0.1s" in line
+
+
+def test_what_has_no_way_of_its_own(renderers: Any, noisy: type, tmp_path: Path) -> None:
+    """A renderer without one leaves failed rows; a recording is refused before anything runs."""
+    plain = benchmark.Renderers(lambda renderer, scene, *, sampler, size: noisy(*size), lambda renderer: "1")
+    benchmark.run(suite.parse(GIVEN), results.Folder(tmp_path), plain, cache=tmp_path / "cache")
+    found = results.load(tmp_path)
+    assert {row["error"] for row in found.failed} == {"the renderer 'noisy' has no sampling of its own"}
+    assert len(found.failed) == 4
+    assert len(found.done) == 4
+    recorded = {**GIVEN, "recorded_spp": 8}
+    with pytest.raises(suite.BadSuiteError, match="is the renderer's own: 'diffuse' is a recording"):
+        benchmark.run(suite.parse(recorded), results.Folder(tmp_path / "other"), renderers, cache=tmp_path / "cache")
