@@ -104,7 +104,9 @@ def test_memory_that_runs_out_is_an_error(program: Any, clean: None, monkeypatch
 def test_it_ends_with_us(running: Callable[[], list[str]], clean: None, ending: signal.Signals) -> None:
     """However our own process ends, soon POV-Ray has ended, too, and its files are gone: see `clean`."""
     text = f"""
+        import signal
         from pmc_sampler.adapters.povray import program
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts what is in the background without it
         with program.private_folder() as folder:
             process = program.Process(folder, {ENDLESS!r}, {TINY!r})
             print("started", flush=True)
@@ -117,7 +119,7 @@ def test_it_ends_with_us(running: Callable[[], list[str]], clean: None, ending: 
     assert ours.stdout.readline() == b"started\n"
     assert len(running()) >= 1
     ours.send_signal(ending)
-    ours.wait()
+    ours.wait(60)
     ours.stdout.close()
 
 
