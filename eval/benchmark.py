@@ -26,6 +26,7 @@ from pmc_sampler.sampler import config_for
 
 from . import baselines, measures, metrics, references, results
 from .executors import Executor, in_process
+from .recorded import Recording, record
 from .references import Reference, key
 from .suite import BadSuiteError, Run, Scene, Suite
 
@@ -35,6 +36,10 @@ Progress = Callable[[float, str], None]
 
 WARM_UP_SEED = 0x5EED_FFFF
 """Of the sample a pixel that each renderer makes before it is timed."""
+
+
+WEIGHING = ("pmc", "greedy", "neyman")
+"""Samplers that weigh noise by what can be seen: their `white_luminance` is the suite's unless they have their own."""
 
 
 @dataclass(frozen=True)
@@ -268,7 +273,7 @@ def _layers(film: Any) -> dict[str, NDArray[Any]]:
 
 def _sampler(suite: Suite, one: Run, radiance: Any) -> Any:
     settings = one.method.settings_on(one.scene.name)
-    if settings["sampler"] == "pmc":
+    if settings["sampler"] in WEIGHING:
         settings = {"white_luminance": suite.white_luminance, **settings}
     return baselines.make(settings, radiance, Budget(**{one.budget.kind: one.budget.value}), one.seed)
 
@@ -295,8 +300,6 @@ def _prepare(
     else:
         recording = None
     if recording is not None:
-        from .recorded import Recording
-
         return Job(suite, scene, renderers, versions, Recording(recording).reference, str(recording))
     radiance = _load(scene, renderers, "sobol")
     reference = references.obtain(
@@ -315,13 +318,11 @@ def _prepare(
 def _record(
     scene: Scene, renderers: Renderers, versions: Mapping[str, str], folder: Path, progress: Callable[[float], None]
 ) -> Path:
-    from .recorded import record
-
     settings = {**_settings(scene, versions), "size": scene.size, "spp": scene.recorded_spp}
     path = folder / f"{key(settings)}.h5"
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
-        radiance = _load(scene, renderers, "independent")
+        radiance = _load(scene, renderers, "sobol")
         record(
             radiance,
             radiance.width,
@@ -343,8 +344,6 @@ def _load(scene: Scene, renderers: Renderers, numbers: str) -> Any:
 def _radiance(identity: str, renderers: Renderers, scene: Scene, recording: str | None, numbers: str) -> Any:
     """The renderer of a scene, warm; kept for the runs to come, as long as ``identity`` is the same."""
     if recording is not None:
-        from .recorded import Recording
-
         return Recording(recording, sampler=numbers)
     radiance = _load(scene, renderers, numbers)
     uniform = config_for(radiance, {"preset": "uniform"})
@@ -472,7 +471,7 @@ def fingerprint(files: Iterable[Path] = ()) -> str:
     """A hash of the code that makes and measures images: the sampler's, the baselines' and the metrics'."""
     package = Path(pmc_sampler.__file__).parent
     here = Path(__file__).parent
-    own = [here / f"{name}.py" for name in ("metrics", "measures", "display")]
+    own = [here / f"{name}.py" for name in ("metrics", "measures", "display", "recorded")]
     parts = [Path(_core.__file__), *package.glob("*.py"), *own, *(here / "baselines").glob("*.py"), *files]
     digest = hashlib.sha256()
     for part in sorted(parts):

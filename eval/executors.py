@@ -10,6 +10,9 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
+TIMEOUT = "20s"
+"""How long a scheduler may take to answer."""
+
 Argument = TypeVar("Argument")
 Outcome = TypeVar("Outcome")
 Task = Callable[[Any, Argument], Outcome]
@@ -29,7 +32,7 @@ class ClusterError(RuntimeError):
 
 
 @contextlib.contextmanager
-def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any]]:
+def on_cluster(address: str) -> Iterator[Executor[Any, Any]]:
     """An executor on the cluster whose scheduler is at ``address``, such as ``tcp://host:8786``.
 
     ``shared`` is sent once. A call whose worker dies is done again on another, and gives an exception
@@ -44,7 +47,7 @@ def on_cluster(address: str, timeout: str = "20s") -> Iterator[Executor[Any, Any
             f"a cluster needs Dask, which cannot be imported ({error}): pip install 'pmc-sampler[dask]'."
         ) from error
     try:
-        client = distributed.Client(address, timeout=timeout, set_as_default=False)
+        client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         raise ClusterError(
             f"no Dask scheduler answers at {address!r} ({error}); start one by `dask scheduler`, and workers by "

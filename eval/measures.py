@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmc_sampler import luminance, tvi
+from pmc_sampler import luminance
 
 from . import metrics
+from .baselines.allocation import threshold_deviation
 from .references import Reference
-from .statistics import neyman_error
+from .statistics import neyman_limit
 
 TILE = 16
 """Side in pixels of the tiles whose mean luminance is kept of every run, for tests of bias."""
@@ -58,11 +59,12 @@ def neyman(radiance: Any, reference: Reference, white_luminance: float, spp: flo
     """
     if not hasattr(radiance, "variance") or not hasattr(radiance, "luminance_variance"):
         return {"mse": None, "tvi_error": None}
-    weight = (white_luminance / np.asarray(tvi(_luminance(reference.mean) * white_luminance))) ** 2
-    return {
-        "mse": neyman_error(np.asarray(radiance.variance, dtype=np.float64).mean(axis=2), spp),
-        "tvi_error": neyman_error(np.asarray(radiance.luminance_variance, dtype=np.float64) * weight, spp),
+    mean = _luminance(reference.mean)
+    deviations = {
+        "mse": np.sqrt(np.asarray(radiance.variance, dtype=np.float64).mean(axis=2)),
+        "tvi_error": threshold_deviation(np.asarray(radiance.luminance_variance), mean, white_luminance),
     }
+    return {name: float((s**2).mean()) / spp / neyman_limit(s) for name, s in deviations.items()}
 
 
 def tiles(image: Image) -> NDArray[np.float64]:

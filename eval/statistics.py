@@ -139,14 +139,3 @@ def welch(
     t = np.where(still, np.where(same, 0.0, np.where(mean > other, np.inf, -np.inf)), t)
     p = np.where(still, np.where(same, 1.0, 0.0), p)
     return Welch(mean - other, t, p, alpha, float(-np.expm1(np.log1p(-alpha) / max(p.size, 1))))
-
-
-def neyman_error(variance: ArrayLike, spp: float) -> float:
-    """The least mean squared error of any unbiased allocation of independent samples, ``mean(s)^2 / spp``.
-
-    ``s^2`` is the ``variance`` of one sample of each pixel, times the square of the metric's weight there; the
-    samples are then in proportion to ``s`` (Neyman 1934, doi:10.2307/2342192). Equal counts have
-    ``mean(s^2) / spp``.
-    """
-    s = np.sqrt(np.asarray(variance, dtype=np.float64))
-    return float(s.mean() ** 2 / spp)

@@ -251,7 +251,9 @@ def _scene(common: Mapping[str, Any], table: Mapping[str, Any], folder: Path) ->
     if not budgets:
         raise BadSuiteError(f"{what} has no budget: give `spp` or `seconds`, lists of numbers above 0.")
     _distinct(f"budgets of {what}", [str(budget) for budget in budgets])
-    recorded = _whole(own, "recorded_spp", 2, what) if "recorded_spp" in own and "recording" not in table else None
+    recorded = _whole(own, "recorded_spp", 1, what) if "recorded_spp" in own and "recording" not in table else None
+    if recorded is not None and recorded & (recorded - 1):
+        raise BadSuiteError(f"{what}: `recorded_spp` is {recorded}: expected a power of two")
     replayed = recorded is not None or "recording" in table
     if not replayed and "reference_spp" not in own:
         raise BadSuiteError(f"{what} has no `reference_spp`: give the samples per pixel of its reference.")

@@ -373,3 +373,42 @@ def test_bias_is_tested_over_seeds(finished: Path, noisy: type, tmp_path: Path) 
         found.append(tested.biased)
     assert not found[0].any()
     assert found[1].all()
+
+
+@pytest.mark.needs("h5py")
+def test_a_recording_is_made_once_and_is_its_own_reference(noisy: type, tmp_path: Path) -> None:
+    """The scene is rendered for the recording alone; the errors are against its exact mean, and the least is known."""
+    given = SUITE.to_dict()
+    given["scene"] = [{"name": "cornell-box", "size": list(SIZE), "spp": [8], "renderer": "noisy", "recorded_spp": 16}]
+    given["method"].append({"name": "oracle", "sampler": "neyman", "numbers": "independent"})
+    recorded = suite.parse(given)
+    loader = Loader(noisy)
+    benchmark.run(recorded, results.Folder(tmp_path / "out"), loader.hooks, cache=tmp_path)
+    assert len(loader.renderers) == 1
+    assert loader.renderers[0].calls == 16
+    found = results.load(tmp_path / "out")
+    assert len(found.done) == 6
+    (path,) = tmp_path.glob("*.h5")
+    recording = benchmark.Recording(path)
+    for row in found.done:
+        assert row["reference.mse"] == row["reference.tvi_error"] == row["reference.bias"] == 0.0
+        # Of independent samples in proportion to their deviation s, the mean of s^2 / n is mean(s)^2 / 8.
+        s = np.sqrt(recording.variance.mean(axis=2))
+        assert row["limit.mse"] == pytest.approx(s.mean() ** 2 / 8)
+    image = found.image_path("cornell-box", "PT", "8spp")
+    assert image is not None
+    assert (images.read(image).layers["samples"] == 8).all()
+    assert "limit reached: tvi error" in markdown.page(found)
+    # The file itself as a scene gives the same numbers.
+    given["scene"] = [{"name": "cornell-box", "recording": str(path), "spp": [8]}]
+    benchmark.run(suite.parse(given), results.Folder(tmp_path / "again"), loader.hooks, cache=tmp_path)
+    assert len(loader.renderers) == 1
+    again = results.load(tmp_path / "again").done
+    assert [row["mse"] for row in again] == [row["mse"] for row in found.done]
+
+
+def test_an_oracle_without_known_variances_is_refused() -> None:
+    given = SUITE.to_dict()
+    given["method"].append({"name": "oracle", "sampler": "neyman"})
+    with pytest.raises(suite.BadSuiteError, match="method 'oracle' on scene 'cornell-box': neyman needs the variance"):
+        benchmark.check(suite.parse(given))

@@ -160,12 +160,13 @@ def restart(cluster: Any) -> None:
         client.restart()
 
 
-def test_no_scheduler_is_said() -> None:
+def test_no_scheduler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(executors, "TIMEOUT", "1s")
     with (
         pytest.raises(
             executors.ClusterError, match=r"no Dask scheduler answers at 'tcp://127.0.0.1:9'.*dask scheduler"
         ),
-        executors.on_cluster("tcp://127.0.0.1:9", timeout="1s"),
+        executors.on_cluster("tcp://127.0.0.1:9"),
     ):
         pass
 

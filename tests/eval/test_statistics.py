@@ -9,7 +9,6 @@ import pytest
 from pmc_sampler.eval.statistics import (
     mean_error,
     median_interval,
-    neyman_error,
     ratio_interval,
     slope_interval,
     welch,
@@ -105,12 +104,3 @@ def test_welch_where_nothing_varies() -> None:
     assert found.biased.tolist() == [False, True]
     with pytest.raises(ValueError, match="two seeds"):
         welch(np.ones((1, 2)), np.ones(2), np.zeros(2), 1)
-
-
-def test_the_neyman_error_is_that_of_its_allocation() -> None:
-    """Samples in proportion to s give sum(s^2 / n) / pixels; moving some from one pixel to another gives more."""
-    s = np.array([1.0, 2.0, 5.0])
-    n = 3 * 8 * s / s.sum()
-    assert neyman_error(s**2, 8) == pytest.approx((s**2 / n).mean())
-    for moved in (0.5, -0.5):
-        assert (s**2 / (n + np.array([moved, -moved, 0.0]))).mean() > neyman_error(s**2, 8)
