@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pmc_sampler.eval import results
+from pmc_sampler.eval import benchmark, results
 
 from pmc_sampler import Budget, Config, Sampler, _core, adapters, render
 from pmc_sampler.cli.arguments import size
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines = [
         "# What the sampler costs",
         "",
-        f"`python benchmarks/overhead.py -o benchmarks/`, {results.machine()}, {options.threads} threads.",
+        f"`python benchmarks/overhead.py -o benchmarks/`, {benchmark.machine()}, {options.threads} threads.",
         "",
         f"Nanoseconds per sample at {options.spp} samples per pixel, the radiance being random numbers at "
         f"hand: median of {options.repeats} interleaved runs, and the extremes of the sum. *Adapting*: "
@@ -62,7 +62,7 @@ def main(arguments: list[str] | None = None) -> int:
     lines += ["", f"The film takes {_core.film_bytes_per_pixel} bytes a pixel."]
     if options.renderer:
         lines += ["", share_of_render(options.renderer, options.repeats)]
-    results.write(options.output / "overhead.md", "\n".join(lines) + "\n")
+    results.write_text(options.output / "overhead.md", "\n".join(lines) + "\n")
     print("\n".join(lines))
     return 0
 

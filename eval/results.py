@@ -38,8 +38,8 @@ class Folder:
         """Note what is going to be run: the suite, and the ids of its runs in their order."""
         import tomli_w
 
-        write(self.path / "suite.toml", lambda part: part.write_text(tomli_w.dumps(suite.to_dict()), encoding="utf-8"))
-        write(self.path / "plan.json", lambda part: part.write_text(json.dumps({"ids": list(ids)}), encoding="utf-8"))
+        write_text(self.path / "suite.toml", tomli_w.dumps(suite.to_dict()))
+        write_text(self.path / "plan.json", json.dumps({"ids": list(ids)}))
 
     def row(self, run_id: str) -> Row | None:
         """The row of a run, None where there is none. Raises :class:`BadResultsError` for a damaged file."""
@@ -222,6 +222,11 @@ def write(path: Path, save: Callable[[Path], Any]) -> None:
             partial.unlink(missing_ok=True)
     except OSError as error:
         raise BadResultsError(f"{str(path)!r} cannot be written: {error.strerror or error}.") from error
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a text file as :func:`write` does."""
+    write(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
 def _tile_pixels(shape: tuple[int, ...]) -> NDArray[np.float64]:

@@ -54,7 +54,7 @@ def bench(options: argparse.Namespace) -> int:
         ) from None
     found = results.load(options.output)
     page = options.output / "results.md"
-    results.write(page, lambda part: part.write_text(markdown.page(found), encoding="utf-8"))
+    results.write_text(page, markdown.page(found))
     print(f"{len(found.done)} runs are in {options.output}, {time.perf_counter() - began:.0f} s; {page} is written.")
     if found.failed:
         first = found.failed[0]

@@ -27,8 +27,8 @@ SUITE = suite.parse(
     }
 )
 
-# A module of its own, which workers can import. Renderers whose folder has a file `fatal` kill their process by their
-# second batch; the file is taken away first, unless it says that they always do.
+# A module of its own, which workers can import. A worker whose renderer finds a file `once` beside the module takes it
+# away and kills itself in the middle of the run; where there is a file `always`, each does.
 LAMP = """
 import os, signal
 from pathlib import Path
@@ -40,15 +40,16 @@ class Lamp:
     takes_batch = True
     def __init__(self, size):
         self.width, self.height = size
-        self.calls = 0
+    def dies(self):
+        if (HERE / "always").exists():
+            return True
+        try:
+            (HERE / "once").unlink()
+        except FileNotFoundError:
+            return False
+        return True
     def __call__(self, batch):
-        self.calls += 1
-        fatal = HERE / "fatal"
-        if os.getpid() != int((HERE / "parent").read_text()) and self.calls == 2 and fatal.exists():
-            with open(HERE / "killed", "a") as stream:
-                stream.write(f"{os.getpid()}\\\\n")
-            if fatal.read_text() != "always":
-                fatal.unlink()
+        if os.getpid() != int((HERE / "parent").read_text()) and self.dies():
             os.kill(os.getpid(), signal.SIGKILL)
         lit = (batch.scramble ^ (batch.index * np.uint32(0x9E3779B9))) * np.uint32(0x7FEB352D) < 2**30
         value = np.where(lit, 4.0, 0.0) * (0.1 + batch.positions[:, 0] / self.width)
@@ -68,7 +69,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     import os
 
     path = tmp_path_factory.mktemp("lamp")
-    (path / "lamp_of_test.py").write_text(LAMP.replace("\\\\", "\\"))
+    (path / "lamp_of_test.py").write_text(LAMP)
     (path / "parent").write_text(str(os.getpid()))
     sys.path.insert(0, str(path))
     yield path
@@ -76,13 +77,18 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     sys.modules.pop("lamp_of_test", None)
 
 
-@pytest.fixture(scope="module")
-def cluster(folder: Path) -> Iterator[Any]:
+def workers() -> Any:
+    """Two worker processes of one thread each, and their scheduler."""
     import distributed
 
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-    ) as made:
+    return distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0", host="127.0.0.1"
+    )
+
+
+@pytest.fixture(scope="module")
+def cluster(folder: Path) -> Iterator[Any]:
+    with workers() as made:
         yield made
 
 
@@ -125,39 +131,30 @@ def test_two_workers_make_the_rows_of_one_process(
 def test_a_worker_killed_in_mid_run_loses_nothing(
     folder: Path, cluster: Any, alone: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    # Renderers of earlier tests are kept by the workers and are past their second batch.
-    cluster_workers = list(cluster.workers.values())
-    assert len(cluster_workers) == 2
+    (folder / "once").touch()
     with executors.on_cluster(cluster.scheduler_address) as execute:
-        restart(cluster)
-        (folder / "fatal").write_text("once")
         run(folder, tmp_path, execute)
-    assert not (folder / "fatal").exists()  # one was killed
-    assert (folder / "killed").read_text().count("\n") >= 1
-    (folder / "killed").unlink()
+    assert not (folder / "once").exists()  # one was killed
     assert numbers(tmp_path) == alone
 
 
 @pytest.mark.long
-def test_runs_that_kill_every_worker_are_recorded(folder: Path, cluster: Any, tmp_path: Path) -> None:
-    restart(cluster)
-    (folder / "fatal").write_text("always")
+def test_runs_that_kill_their_worker_are_recorded(folder: Path, tmp_path: Path) -> None:
+    import dask
+
+    (folder / "always").touch()
     try:
-        with executors.on_cluster(cluster.scheduler_address) as execute:
+        with (
+            dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+            workers() as cluster,
+            executors.on_cluster(cluster.scheduler_address) as execute,
+        ):
             run(folder, tmp_path, execute)
     finally:
-        (folder / "fatal").unlink()
+        (folder / "always").unlink()
     found = results.load(tmp_path)
-    assert (found.missing, len(found.failed)) == (0, len(found.rows))
-    assert all("lost" in row["error"] or "died" in row["error"] for row in found.failed)
-
-
-def restart(cluster: Any) -> None:
-    """New worker processes, whose renderers have done nothing."""
-    import distributed
-
-    with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
-        client.restart()
+    assert (found.missing, len(found.failed)) == (0, 8)
+    assert all("Attempted to run task" in row["error"] for row in found.failed)
 
 
 def test_no_scheduler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
