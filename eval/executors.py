@@ -10,8 +10,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
-TIMEOUT = "20s"
-"""How long a scheduler may take to answer."""
+from pmc_sampler import cluster
 
 Argument = TypeVar("Argument")
 Outcome = TypeVar("Outcome")
@@ -27,32 +26,17 @@ def in_process(
         yield place, task(shared, argument)
 
 
-class ClusterError(RuntimeError):
-    """A Dask cluster that cannot be used; the message says why and what to do."""
-
-
 @contextlib.contextmanager
 def on_cluster(address: str) -> Iterator[Executor[Any, Any]]:
     """An executor on the cluster whose scheduler is at ``address``, such as ``tcp://host:8786``.
 
     ``shared`` is sent once. A call whose worker dies is done again on another, and gives an exception
     once it has taken several workers with it (Dask's `distributed.scheduler.allowed-failures`). Calls that are not
-    finished when the caller leaves the loop are cancelled. Raises :class:`ClusterError` where there is no scheduler, or
+    finished when the caller leaves the loop are cancelled. Raises :class:`pmc_sampler.cluster.ClusterError` where there is no scheduler, or
     no more, and without the package `distributed`.
     """
-    try:
-        import distributed
-    except ImportError as error:
-        raise ClusterError(
-            f"a cluster needs Dask, which cannot be imported ({error}): pip install 'pmc-sampler[dask]'."
-        ) from error
-    try:
-        client = distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise ClusterError(
-            f"no Dask scheduler answers at {address!r} ({error}); start one by `dask scheduler`, and workers by "
-            f"`dask worker {address} --nthreads 1`."
-        ) from error
+    client = cluster.connect(address)
+    import distributed
 
     def execute(task: Any, shared: Any, arguments: Sequence[Any]) -> Iterator[tuple[int, Any]]:
         # A task of its own, not scattered data: that would be lost with the worker that has it.
@@ -70,7 +54,7 @@ def on_cluster(address: str) -> Iterator[Executor[Any, Any]]:
                 elif future.status == "error":
                     yield futures[future], future.exception()
                 else:
-                    raise ClusterError(f"the Dask scheduler at {address!r} was lost; the same command goes on.")
+                    raise cluster.ClusterError(f"the Dask scheduler at {address!r} was lost; the same command goes on.")
                 future.release()
         finally:
             client.cancel(list(futures))

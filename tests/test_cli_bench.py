@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pmc_sampler.eval import results
 
-from pmc_sampler import adapters
+from pmc_sampler import adapters, cluster
 from pmc_sampler.cli import main
 
 pytestmark = pytest.mark.needs("OpenImageIO", "skimage", "pyarrow", "tomli_w", "h5py")
@@ -155,9 +155,7 @@ def test_bad_input_is_refused_in_a_sentence(words: str, said: str, capfd: pytest
 
 @pytest.mark.needs("distributed")
 def test_no_cluster_is_said(capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from pmc_sampler.eval import executors
-
-    monkeypatch.setattr(executors, "TIMEOUT", "1s")
+    monkeypatch.setattr(cluster, "TIMEOUT", "1s")
     assert main([*WORDS, "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no Dask scheduler answers at 'tcp://127.0.0.1:9'" in capfd.readouterr().err
     assert not Path("out").exists()

@@ -116,6 +116,9 @@ def _render(p: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="save the state to FILE every minute and when interrupted; resume from it if it exists",
     )
+    p.add_argument(
+        "--scheduler", metavar="ADDRESS", help="of a Dask cluster that traces the batches, as tcp://HOST:8786"
+    )
     p.add_argument("--json", action="store_true", help="print one JSON object")
 
 

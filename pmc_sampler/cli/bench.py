@@ -8,6 +8,8 @@ import time
 from collections.abc import Iterator
 from types import FrameType
 
+from pmc_sampler.cluster import ClusterError
+
 from .errors import CommandError
 from .optional import load
 from .progress import progress
@@ -45,7 +47,7 @@ def bench(options: argparse.Namespace) -> int:
                 execute=execute,
                 progress=shown,
             )
-    except (suite_module.BadSuiteError, results.BadResultsError, executors.ClusterError) as error:
+    except (suite_module.BadSuiteError, results.BadResultsError, ClusterError) as error:
         raise CommandError(str(error)) from error
     except KeyboardInterrupt:
         raise CommandError(

@@ -14,6 +14,7 @@ _NOT_FOR_IT = {
     "visible_noise": None,
     "config": None,
     "checkpoint": None,
+    "scheduler": None,
     "seed": 0,
 }  # options with their defaults: the renderer chooses its samples by itself
 

@@ -6,7 +6,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -45,6 +45,11 @@ class Job:
 
 def render(options: argparse.Namespace) -> int:
     """Render, write and report; returns the exit status."""
+    with ExitStack() as resources:
+        return _render(options, resources)
+
+
+def _render(options: argparse.Namespace, resources: ExitStack) -> int:
     options.renderer = options.renderer or renderer_for(options.scene)
     if options.method == NATIVE:
         return native(options)
@@ -52,7 +57,7 @@ def render(options: argparse.Namespace) -> int:
     with (
         _stop_asked() as asked
     ):  # an interrupt in the middle of a renderer's import would end in that renderer's traceback
-        job = _job(options)
+        job = _job(options, resources)
     if asked():
         raise CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
     failure: CommandError | None = None
@@ -89,10 +94,12 @@ def _keep(job: Job) -> str:
     return f"; the same command goes on from {job.checkpoint.path}"
 
 
-def _job(options: argparse.Namespace) -> Job:
+def _job(options: argparse.Namespace, resources: ExitStack) -> Job:
     budget = settings.budget(options)
     settings.config(options.method, options.config)  # a mistake in it shows before the scene is loaded
     radiance = load_renderer(options, dict(options.settings))
+    if options.scheduler is not None:
+        resources.enter_context(radiance)
     config = settings.config(options.method, options.config, radiance)
     checkpoint = None
     if options.checkpoint is not None:

@@ -3,6 +3,7 @@
 import argparse
 import importlib
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from .errors import CommandError
@@ -11,7 +12,8 @@ from .errors import CommandError
 def load_renderer(options: argparse.Namespace, settings: Mapping[str, Any]) -> Any:
     """The renderer of the scene; raises :class:`CommandError` with what it says of the scene or of an option.
 
-    settings: those of the command line that are the renderer's own.
+    settings: those of the command line that are the renderer's own. With a `scheduler` it is one on the workers of that
+    cluster, to be closed by the caller.
     """
     chosen = dict(settings)
     for name, value in (("device", options.device), ("options", options.own_options or None)):
@@ -19,6 +21,11 @@ def load_renderer(options: argparse.Namespace, settings: Mapping[str, Any]) -> A
             chosen[name] = value
     chosen = {"sampler": options.sampler, "size": options.size} | chosen
     try:
-        return importlib.import_module("pmc_sampler.adapters").load(options.renderer, options.scene, **chosen)
+        load, scene = importlib.import_module("pmc_sampler.adapters").load, options.scene
+        if options.scheduler is None:
+            return load(options.renderer, scene, **chosen)
+        scene = str(Path(scene).resolve()) if Path(scene).is_file() else scene
+        cluster = importlib.import_module("pmc_sampler.adapters.cluster")
+        return cluster.ClusterRenderer(options.scheduler, load, options.renderer, scene, **chosen)
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:
         raise CommandError(" ".join(str(error).split())) from error

@@ -10,6 +10,10 @@ from typing import Any
 import pytest
 from pmc_sampler.eval import benchmark, executors, images, results, suite
 
+from pmc_sampler import Budget, Config, render
+from pmc_sampler import cluster as clusters
+from pmc_sampler.cli import main
+
 pytestmark = pytest.mark.needs("skimage", "pyarrow", "tomli_w", "OpenImageIO", "distributed")
 
 SUITE = suite.parse(
@@ -138,6 +142,42 @@ def test_a_worker_killed_in_mid_run_loses_nothing(
     assert numbers(tmp_path) == alone
 
 
+def test_batches_of_one_render_go_to_the_workers(folder: Path, cluster: Any) -> None:
+    """The same bits as in one process, a worker that is killed in mid-batch included."""
+    import importlib
+
+    from pmc_sampler.adapters.cluster import ClusterRenderer
+
+    lamp = importlib.import_module("lamp_of_test")
+    here = lamp.load("lamp", "here", "sobol", (160, 120))
+    alone = render(here, 160, 120, Budget(spp=6), Config(), seed=3).film.mean
+    with ClusterRenderer(
+        cluster.scheduler_address, lamp.load, "lamp", "here", sampler="sobol", size=(160, 120)
+    ) as radiance:
+        assert (radiance.width, radiance.height) == (160, 120)
+        (folder / "once").touch()
+        made = render(radiance, 160, 120, Budget(spp=6), Config(), seed=3).film.mean
+    assert not (folder / "once").exists()
+    assert (made == alone).all()
+
+
+@pytest.mark.needs("pyopencl", "mitsuba")
+def test_the_command_renders_on_the_workers(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["render", "diffuse", "--size", "96x72", "--spp", "4"]
+    assert main([*words, "-o", str(tmp_path / "here.exr")]) == 0
+    assert main([*words, "-o", str(tmp_path / "there.exr"), "--scheduler", cluster.scheduler_address]) == 0
+    here, there = (images.read(tmp_path / f"{name}.exr") for name in ("here", "there"))
+    assert (here.rgb == there.rgb).all()
+    assert (here.layers["samples"] == there.layers["samples"]).all()
+    monkeypatch.setattr(clusters, "TIMEOUT", "1s")
+    capsys.readouterr()
+    assert main([*words, "-o", str(tmp_path / "none.exr"), "--scheduler", "tcp://127.0.0.1:9"]) == 2
+    assert "no Dask scheduler answers" in capsys.readouterr().err
+    assert not (tmp_path / "none.exr").exists()
+
+
 @pytest.mark.long
 def test_runs_that_kill_their_worker_are_recorded(folder: Path, tmp_path: Path) -> None:
     import dask
@@ -158,11 +198,9 @@ def test_runs_that_kill_their_worker_are_recorded(folder: Path, tmp_path: Path) 
 
 
 def test_no_scheduler_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(executors, "TIMEOUT", "1s")
+    monkeypatch.setattr(clusters, "TIMEOUT", "1s")
     with (
-        pytest.raises(
-            executors.ClusterError, match=r"no Dask scheduler answers at 'tcp://127.0.0.1:9'.*dask scheduler"
-        ),
+        pytest.raises(clusters.ClusterError, match=r"no Dask scheduler answers at 'tcp://127.0.0.1:9'.*dask scheduler"),
         executors.on_cluster("tcp://127.0.0.1:9"),
     ):
         pass
