@@ -126,7 +126,9 @@ class Recording:
         nothing = np.zeros((self.height, self.width, 3), np.float32)
         rejected = int(np.isnan(self.samples[..., 0]).sum())
         name = key(self.head)
-        return Reference(self.mean.astype(np.float32), nothing, nothing[..., 0], self.per_pixel, 1, rejected, 0.0, name)
+        return Reference(
+            self.mean.astype(np.float32), nothing, nothing[..., 0], self.per_pixel, 1, rejected, 0.0, name
+        )
 
 
 def _head(

@@ -16,18 +16,7 @@ from .greedy import Greedy
 from .neyman import Neyman, limit_of
 from .sampler import AllocatingSampler, Batch, Rule
 
-__all__ = [
-    "NAMES",
-    "AllocatingSampler",
-    "Batch",
-    "ErrorThreshold",
-    "Film",
-    "Greedy",
-    "Neyman",
-    "Rule",
-    "limit_of",
-    "make",
-]
+__all__ = ["NAMES", "AllocatingSampler", "Batch", "ErrorThreshold", "Film", "Greedy", "Neyman", "Rule", "limit_of", "make"]
 
 _RULES: dict[str, Callable[..., Rule]] = {
     "greedy": Greedy,
