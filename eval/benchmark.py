@@ -220,7 +220,8 @@ class _Made:
     @property
     def spp(self) -> float:
         """Samples over pixels."""
-        return self.samples / (self.image.shape[0] * self.image.shape[1])
+        height, width, _ = self.image.shape
+        return float(self.samples / (height * width))
 
 
 def _native(one: Run, radiance: Any) -> _Made:

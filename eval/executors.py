@@ -30,10 +30,10 @@ def in_process(
 def on_cluster(address: str) -> Iterator[Executor[Any, Any]]:
     """An executor on the cluster whose scheduler is at ``address``, such as ``tcp://host:8786``.
 
-    ``shared`` is sent once. A call whose worker dies is done again on another, and gives an exception
-    once it has taken several workers with it (Dask's `distributed.scheduler.allowed-failures`). Calls that are not
-    finished when the caller leaves the loop are cancelled. Raises :class:`pmc_sampler.cluster.ClusterError` where there is no scheduler, or
-    no more, and without the package `distributed`.
+    ``shared`` is sent once. A call whose worker dies is done again on another, and gives an exception once it has taken
+    several workers with it (Dask's `distributed.scheduler.allowed-failures`). Calls that are not finished when the
+    caller leaves the loop are cancelled. Raises :class:`pmc_sampler.cluster.ClusterError` where there is no scheduler,
+    or no more, and without the package `distributed`.
     """
     client = cluster.connect(address)
     import distributed
