@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import re
 import shutil
@@ -14,10 +15,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["Process", "Result", "find", "private_folder", "read_text", "run", "version", "write_text"]
+__all__ = ["Process", "Result", "find", "private_folder", "read_text", "run", "sandbox", "version", "write_text"]
 
 TIMEOUT = 3600.0  # seconds
 _INSTALL = "install it (on Debian: apt install povray; elsewhere: https://www.povray.org/download/)"
+_INSTALL_SANDBOX = "install it (on Debian: apt install bubblewrap)"
 _SCENE = "scene.pov"
 _MESSAGES = "messages.txt"
 _KEPT = 1 << 20  # bytes of messages that are read, from their beginning and from their end
@@ -92,8 +94,11 @@ class Process:
         Folders in which the scene finds its files; that of a scene file comes first by itself.
     root
         `folder`, or the folder of several around it.
+    sandboxed
+        Whether it runs without network and may write to `folder` alone; see `sandbox`. Its processor time is then not
+        known.
 
-    Raises RuntimeError if there is no POV-Ray.
+    Raises RuntimeError if there is no POV-Ray, or no sandbox if one is wanted.
     """
 
     def __init__(
@@ -103,8 +108,10 @@ class Process:
         arguments: Sequence[str] = (),
         libraries: Sequence[Path] = (),
         root: Path | None = None,
+        sandboxed: bool = False,
     ) -> None:
         self._folder = folder
+        self._sandboxed = sandboxed
         self.names: dict[str, str] = {}
         libraries = list(libraries)
         if isinstance(scene, Path):
@@ -121,6 +128,8 @@ class Process:
             self.names[name] = str(library)
             paths.append(f"+L{name}")
         command = [find(), f"+I{_SCENE}", "-D", "-V", "-P", "+WT1", *paths, *arguments]
+        if sandboxed:
+            command = [*sandbox(folder), *command]
         environment = {name: value for name, value in os.environ.items() if name != "POVINI"}
         self._cpu = 0.0
         self._began = time.perf_counter()
@@ -172,7 +181,9 @@ class Process:
             if not self.ended:
                 os.kill(self._process.pid, signal.SIGKILL)
         _, status, usage = os.wait4(self._process.pid, 0)
-        self._process.returncode = os.waitstatus_to_exitcode(status)
+        code = os.waitstatus_to_exitcode(status)
+        # As shells do, bwrap adds the signal that ended its program to 128.
+        self._process.returncode = 128 - code if self._sandboxed and code > 128 else code
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(self._process.pid, signal.SIGKILL)
         if self._process.stdin is not None:
@@ -195,6 +206,39 @@ def find() -> str:
     if path is None:
         raise RuntimeError(f"there is no program povray on the path; {_INSTALL}")
     return path
+
+
+def sandbox(folder: Path) -> list[str]:
+    """The beginning of a command that may write to `folder` alone, reads all files and has no network, by bubblewrap.
+
+    Raises RuntimeError if there is no bubblewrap, or if the system lets it make no sandbox.
+    """
+    path = shutil.which("bwrap")
+    if path is None:
+        raise RuntimeError(f"a sandbox needs the program bwrap, which is not on the path; {_INSTALL_SANDBOX}")
+    place = str(folder.resolve())
+    # Not in a session of its own: what ends the group of processes has to end what is in it.
+    command = [path, "--ro-bind", "/", "/", "--dev", "/dev", "--bind", place, place, "--chdir", place]
+    command += ["--unshare-net", "--unshare-ipc", "--die-with-parent", "--"]
+    _try_sandbox(path)
+    return command
+
+
+@functools.cache
+def _try_sandbox(path: str) -> None:
+    done = subprocess.run(
+        [path, "--ro-bind", "/", "/", "--dev", "/dev", "--unshare-net", "--unshare-ipc", "--", "true"],
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        errors="replace",
+        timeout=60,
+    )
+    if done.returncode:
+        raise RuntimeError(
+            f"bwrap can make no sandbox here ({done.stderr.strip() or f'status {done.returncode}'}): containers and "
+            "some systems forbid user namespaces; allow them, or render without a sandbox what you trust"
+        )
 
 
 def version() -> str:

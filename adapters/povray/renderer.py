@@ -37,7 +37,7 @@ class PovRayRenderer:
     shuffled. The same batch gives the same values, with the same `processes`; other batches have independent noise.
 
     A scene is a program: POV-Ray reads and writes files with the user's rights for it. It runs in a folder of its own,
-    which is removed with all that was written there; nothing else protects from a malicious scene.
+    which is removed with all that was written there; only `sandbox` protects other files from a malicious scene.
 
     Parameters
     ----------
@@ -62,6 +62,9 @@ class PovRayRenderer:
         Whether the scene's camera is checked once by a small image, unless `camera` is given.
     radiosity, photons
         For scenes that are exported: see `export`.
+    sandbox
+        Whether POV-Ray runs under bubblewrap (`bwrap`): it may read all files, write to its own folder alone, and has
+        no network.
 
     Attributes
     ----------
@@ -70,7 +73,8 @@ class PovRayRenderer:
     clamped
         In how many samples so far radiance was infinite, beyond half floats, and is 65504 instead.
     seconds
-        What was spent so far on writing "rays" and waiting for "povray"; "cpu" is the processor time of the latter.
+        What was spent so far on writing "rays" and waiting for "povray"; "cpu" is the processor time of the latter,
+        as far as it is known: not in a sandbox.
 
     Raises
     ------
@@ -82,7 +86,7 @@ class PovRayRenderer:
     TimeoutError
         If POV-Ray takes longer than `timeout` (which is an OSError).
     RuntimeError
-        If there is no POV-Ray, with what to install.
+        If there is no POV-Ray, or no sandbox where one is wanted, with what to install.
     """
 
     takes_batch = True
@@ -100,6 +104,7 @@ class PovRayRenderer:
         check: bool = True,
         radiosity: bool = False,
         photons: int = 0,
+        sandbox: bool = False,
     ) -> None:
         if sampler not in numbers.SAMPLERS:
             raise ValueError(f"a sampler is {' or '.join(map(repr, numbers.SAMPLERS))}, not {sampler!r}")
@@ -107,6 +112,8 @@ class PovRayRenderer:
         if processes is not None:
             check_whole("processes", processes, 1, 1024)
         program.find()
+        if sandbox:
+            program.sandbox(Path.cwd())  # at once, if there is none
         self.sampler = sampler
         self._lock = threading.Lock()
         self._folder = Path(tempfile.mkdtemp(prefix="pmc-povray-"))
@@ -115,7 +122,7 @@ class PovRayRenderer:
         file, given, size = self._named(scene, size, options, radiosity, photons)
         self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
         check_size((self.width, self.height))
-        self._source = source.of_file(file, given.libraries, given.switches, timeout)
+        self._source = source.of_file(file, given.libraries, given.switches, timeout, sandbox)
         made = with_photons_saved(self._source, self._folder)
         made = with_radiosity_saved(made, self.width, self.height, self._folder)
         self.scene = file

@@ -20,7 +20,7 @@ _FLAGS = ("+FE", f"+O{IMAGE}", "-A", "-GD", "-GR", "-GS")
 class Source:
     """A scene's text with the file that it is from, the folders of its includes, switches, and the time a run has.
 
-    files: those of ours that are put beside the text, as "name" -> where it is.
+    files: those of ours that are put beside the text, as "name" -> where it is. sandboxed: see `program.Process`.
     """
 
     file: Path
@@ -29,6 +29,7 @@ class Source:
     switches: tuple[str, ...]
     timeout: float
     files: tuple[tuple[str, Path], ...] = ()
+    sandboxed: bool = False
 
     def start(
         self, folder: Path, arguments: Sequence[str] = (), more: str = "", root: Path | None = None
@@ -36,7 +37,8 @@ class Source:
         """POV-Ray in `folder`, for the text and then `more`; by default it writes the image IMAGE."""
         for name, place in self.files:
             (folder / name).symlink_to(place)
-        process = program.Process(folder, self.text + more, (*_FLAGS, *self.switches, *arguments), self.libraries, root)
+        arguments = (*_FLAGS, *self.switches, *arguments)
+        process = program.Process(folder, self.text + more, arguments, self.libraries, root, self.sandboxed)
         process.names["scene.pov"] = str(self.file)
         return process
 
@@ -47,7 +49,9 @@ class Source:
         return result
 
 
-def of_file(file: Path, libraries: Sequence[Path], switches: Sequence[str], timeout: float) -> Source:
+def of_file(
+    file: Path, libraries: Sequence[Path], switches: Sequence[str], timeout: float, sandboxed: bool = False
+) -> Source:
     """The scene in a file. Raises FileNotFoundError, or OSError if it cannot be read."""
     if not file.exists():
         raise FileNotFoundError(f"there is no scene file {file}")
@@ -56,4 +60,4 @@ def of_file(file: Path, libraries: Sequence[Path], switches: Sequence[str], time
     except OSError as error:
         raise OSError(f"the scene file {file} cannot be read: {error.strerror}") from error
     folders = (file.absolute().parent, *(Path(os.path.abspath(folder)) for folder in libraries))
-    return Source(file, text, folders, tuple(switches), timeout)
+    return Source(file, text, folders, tuple(switches), timeout, sandboxed=sandboxed)

@@ -28,6 +28,15 @@ plane { y, 0 pigment { checker rgb 0.9 rgb 0.1 translate <0.31, 0.5, 0.37> } }
 """
 # The same under a lamp of some size, whose shadow rays are random.
 NOISY = PLAIN.replace("<3, 4, -5> 1", "<3, 4, -5> 1 area_light 4*x, 4*y, 2, 2 jitter")
+# From within this ball, of radius 20, a pixel's colour is where its ray ends.
+BALL = """#version 3.7;
+global_settings { assumed_gamma 1 }
+sphere { 0, 20 hollow pigment { average pigment_map {
+  [1 function { 0.5 + x / 40 } color_map { [0 rgb 0] [1 rgb <3, 0, 0>] }]
+  [1 function { 0.5 + y / 40 } color_map { [0 rgb 0] [1 rgb <0, 3, 0>] }]
+  [1 function { 0.5 + z / 40 } color_map { [0 rgb 0] [1 rgb <0, 0, 3>] }] } }
+  finish { ambient 0 diffuse 0 emission 1 } }
+"""
 CAMERA = {"location": (0, 1, -5), "right": (4 / 3, 0, 0), "up": (0, 1, 0), "direction": (0, 0, 1)}
 
 
@@ -94,6 +103,11 @@ def plain_text() -> str:
 @pytest.fixture(scope="session")
 def noisy_text() -> str:
     return NOISY
+
+
+@pytest.fixture(scope="session")
+def ball_text() -> str:
+    return BALL
 
 
 @pytest.fixture(scope="session")

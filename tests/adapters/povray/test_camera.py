@@ -16,15 +16,6 @@ pytestmark = pytest.mark.needs("povray", "OpenImageIO")
 
 W, H = 16, 12
 RADIUS = 20.0
-# From within this ball a pixel's colour is where its ray ends.
-BALL = """#version 3.7;
-global_settings { assumed_gamma 1 }
-sphere { 0, 20 hollow pigment { average pigment_map {
-  [1 function { 0.5 + x / 40 } color_map { [0 rgb 0] [1 rgb <3, 0, 0>] }]
-  [1 function { 0.5 + y / 40 } color_map { [0 rgb 0] [1 rgb <0, 3, 0>] }]
-  [1 function { 0.5 + z / 40 } color_map { [0 rgb 0] [1 rgb <0, 0, 3>] }] } }
-  finish { ambient 0 diffuse 0 emission 1 } }
-"""
 PLACE = "location <1, 2, 3> right <1.5, 0.2, 0> up <0, 0.3, 1.1> direction <0.1, 1.1, -0.1>"
 LEFT = "location <1, 2, 3> right <-1.5, 0, 0> up <0, 0.3, 1.1> direction <0, 1.1, -0.3>"
 VECTORS = {"location": (1, 2, 3), "right": (1.5, 0.2, 0), "up": (0, 0.3, 1.1), "direction": (0.1, 1.1, -0.1)}
@@ -77,10 +68,10 @@ def mesh_camera(povray: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def own(own_image: Callable[..., Array]) -> dict[tuple[str, bool], Array]:
+def own(own_image: Callable[..., Array], ball_text: str) -> dict[tuple[str, bool], Array]:
     """POV-Ray's images of the ball by each camera; its processes mostly sleep, so all run at once."""
     with ThreadPoolExecutor(8) as pool:
-        texts = [f"{BALL}camera {{ {words} {LEFT if left else PLACE} }}" for words, left in CASES]
+        texts = [f"{ball_text}camera {{ {words} {LEFT if left else PLACE} }}" for words, left in CASES]
         images = pool.map(lambda text: own_image(text, (W, H)), texts)
         return {case: image[..., :3].reshape(-1, 3) for case, image in zip(CASES, images, strict=True)}
 
@@ -98,11 +89,11 @@ def test_rays_are_those_of_povray(words: str, left: bool, own: Any, camera_of: A
         assert 0 < seen.sum() < len(seen)
 
 
-def test_statements_are_those_of_the_cameras(own: Any, own_image: Any, camera_of: Any) -> None:
+def test_statements_are_those_of_the_cameras(own: Any, own_image: Any, camera_of: Any, ball_text: str) -> None:
     """Exact: POV-Ray makes the same image of a camera's statement as of the words that it came from."""
     cases = CASES[1::4]
     with ThreadPoolExecutor(8) as pool:
-        texts = [BALL + camera_of(left, **KINDS[words]).statement for words, left in cases]
+        texts = [ball_text + camera_of(left, **KINDS[words]).statement for words, left in cases]
         for case, image in zip(cases, pool.map(lambda text: own_image(text, (W, H)), texts), strict=True):
             np.testing.assert_array_equal(image[..., :3].reshape(-1, 3), own[case])
 

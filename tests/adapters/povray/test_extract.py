@@ -17,15 +17,6 @@ pytestmark = pytest.mark.needs("povray", "OpenImageIO")
 
 W, H = 16, 12
 RADIUS = 20.0
-# From within this ball a pixel's colour is where its ray ends.
-BALL = """#version 3.7;
-global_settings { assumed_gamma 1 }
-sphere { 0, 20 hollow pigment { average pigment_map {
-  [1 function { 0.5 + x / 40 } color_map { [0 rgb 0] [1 rgb <3, 0, 0>] }]
-  [1 function { 0.5 + y / 40 } color_map { [0 rgb 0] [1 rgb <0, 3, 0>] }]
-  [1 function { 0.5 + z / 40 } color_map { [0 rgb 0] [1 rgb <0, 0, 3>] }] } }
-  finish { ambient 0 diffuse 0 emission 1 } }
-"""
 A = "#declare A = camera { location <1, 2, 3> look_at <4, 2, 5> angle 50 right 1.5*x translate x }\n"
 CAMERAS = [
     # One order for all, since version 3.5.
@@ -87,13 +78,13 @@ def extract(povray: Any) -> Any:
 
 
 @pytest.fixture(scope="module")
-def found(own_image: Any, source_of: Any, extract: Any) -> Iterator[dict[str, tuple[Any, Any]]]:
+def found(own_image: Any, source_of: Any, extract: Any, ball_text: str) -> Iterator[dict[str, tuple[Any, Any]]]:
     """POV-Ray's own image and the camera that is found, both under way; its processes mostly sleep, so several run."""
     with ThreadPoolExecutor(8) as pool:
         yield {
             words: (
-                pool.submit(own_image, BALL + words, (W, H)),
-                pool.submit(extract, source_of(BALL + words), W, H),
+                pool.submit(own_image, ball_text + words, (W, H)),
+                pool.submit(extract, source_of(ball_text + words), W, H),
             )
             for words in CAMERAS
         }

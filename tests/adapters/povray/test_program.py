@@ -138,6 +138,41 @@ def test_no_program_and_an_old_one(program: Any, tmp_path: Path, monkeypatch: py
             program.version()
 
 
+@pytest.mark.needs("bwrap")
+def test_a_sandbox_keeps_files(program: Any, plain_text: str, tmp_path: Path, clean: None) -> None:
+    """To write elsewhere, to a file that is there or not, is an error; without a sandbox it is none."""
+    for name in ("new.txt", "kept.txt"):
+        (tmp_path / "new.txt").unlink(missing_ok=True)
+        (tmp_path / "kept.txt").write_text("mine")
+        text = f'{plain_text}#fopen F "{tmp_path / name}" write #write(F, "x") #fclose F\n'
+        for sandboxed in (True, False):
+            with program.private_folder() as folder:
+                result = program.Process(folder, text, TINY, sandboxed=sandboxed).wait(60)
+                assert (result.status != 0) == sandboxed
+                assert ("Cannot open" in result.error) == sandboxed
+            found = {file.name: file.read_text() for file in tmp_path.glob("*.txt")}
+            assert found == {"kept.txt": "mine"} | ({} if sandboxed else {name: "x"})
+
+
+@pytest.mark.needs("bwrap")
+def test_a_process_in_a_sandbox_is_ended(program: Any, clean: None) -> None:
+    with program.private_folder() as folder, pytest.raises(TimeoutError, match=r"within 0.7 seconds and was ended"):
+        program.Process(folder, ENDLESS, TINY, sandboxed=True).wait(0.7)
+
+
+def test_no_sandbox(program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(RuntimeError, match=r"needs the program bwrap, .*on Debian: apt install bubblewrap"):
+        program.sandbox(tmp_path)
+    stand_in = tmp_path / "bwrap"
+    stand_in.write_text("#!/bin/sh\necho 'No permissions to create new namespace' >&2\nexit 1\n")
+    stand_in.chmod(0o755)
+    with pytest.raises(
+        RuntimeError, match=r"no sandbox here \(No permissions .*\): containers .* forbid user namespaces"
+    ):
+        program.sandbox(tmp_path)
+
+
 def test_text_keeps_its_bytes(program: Any, tmp_path: Path) -> None:
     """Whatever the encoding, and line ends with it."""
     data = "é\r\nb\n".encode() + "é".encode("latin-1") + bytes(range(256))

@@ -41,6 +41,17 @@ def test_the_same_batch_gives_the_same_values_in_any_order(make: Any, noisy_text
     assert renderer(dataclasses.replace(batch, number=1)).tobytes() != first.tobytes()
 
 
+@pytest.mark.needs("bwrap")
+def test_a_sandbox_changes_no_value(make: Any, plain_text: str, centres: Any) -> None:
+    """Nor keeps it from being warm for the second batch; its photons are found in it, too."""
+    lit = plain_text.replace("assumed_gamma 1.0", "assumed_gamma 1.0 photons { count 300 }")
+    lit = lit.replace("} }\nplane", "} photons { target reflection on } }\nplane")
+    renderer = make(lit, sandbox=True)
+    assert renderer._pool.source.sandboxed
+    values = [renderer(centres()) for _ in range(2)]
+    assert values[0].tobytes() == values[1].tobytes() == make(lit)(centres()).tobytes()
+
+
 def test_noise_of_batches_is_independent(make: Any, noisy_text: str, centres: Any) -> None:
     """The correlation of the noise of two batches, over the pixels in the penumbra: false alarm 1e-5 (4.4 standard
     deviations of independent draws; each pixel's noise is normalised). Without shuffling it is near 1: the negative
