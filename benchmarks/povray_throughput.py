@@ -1,0 +1,183 @@
+"""Positions per second through the POV-Ray adapter, and what it adds to the tracing.
+
+    python benchmarks/povray_throughput.py [--positions 20000,80000,320000] [--processes 1,2,4,8] [--rounds 6]
+    [-o DIR]
+
+"trivial" is a ball on a plane under a point light. For each number of positions in a batch and of processes at once,
+its rate end to end, batch after batch from the second on, as the median and the best of the rounds; and by processor
+time the microseconds a position that go to POV-Ray (its start, reading the rays, tracing) and to our own process
+(writing rays, reading images). The machine may be shared: processor time hardly depends on that, rates do.
+
+"heavy" is the same ball under an area light of so many lamps that POV-Ray itself needs about 40 microseconds a
+position. There the
+overhead is 1 - native / ours: both are the processor seconds of a batch of as many positions, ours of all processes
+and of our own, native of POV-Ray with the scene's own camera on an image of as many pixels, one after the other in
+each round. So start and parsing of the scene count on both sides, and reading rays, sending and reading images in ours.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pmc_sampler.adapters.povray import PovRayRenderer, program
+
+from pmc_sampler import Budget, Config, Sampler
+
+LAMPS = 14  # along each side of the heavy scene's area light
+WIDTH = 400  # pixels of the image; its height follows from the positions, one in each pixel
+TRIVIAL = """#version 3.7;
+global_settings { assumed_gamma 1 }
+camera { location <0, 1, -5> direction z right x*4/3 up y }
+light_source { <3, 4, -5> 1 }
+sphere { <0, 1, 0>, 1 pigment { rgb <0.8, 0.5, 0.2> } }
+plane { y, 0 pigment { checker rgb 0.9 rgb 0.1 } }
+"""
+
+
+HEAVY = TRIVIAL.replace("-5> 1 }", f"-5> 1 area_light 4*x, 4*y, {LAMPS}, {LAMPS} }}")
+
+
+def ours(renderer: PovRayRenderer, batches: list[Any]) -> tuple[list[float], dict[str, float]]:
+    """Seconds of each batch but the first, and of all those by what on, in processor time: "povray" and "python"."""
+    renderer(batches[0])
+    before, began, seconds = dict(renderer.seconds), time.process_time(), []
+    for batch in batches[1:]:
+        start = time.perf_counter()
+        renderer(batch)
+        seconds.append(time.perf_counter() - start)
+    return seconds, {
+        "povray": renderer.seconds["cpu"] - before["cpu"],
+        "python": time.process_time() - began,
+    }
+
+
+def native(text: str, size: tuple[int, int]) -> float:
+    """Processor seconds of POV-Ray with the scene's own camera, one position in each pixel."""
+    with program.private_folder() as folder:
+        switches = [f"+W{size[0]}", f"+H{size[1]}", "+FE", "+Oimage.exr", "-A", "-GD", "-GR", "-GS"]
+        result = program.run(folder, text, switches)
+        result.check("the scene")
+        return result.cpu
+
+
+def drawn(size: tuple[int, int], count: int) -> list[Any]:
+    """`count` batches of one uniform position in each pixel, as the sampler draws them."""
+    sampler = Sampler(*size, Budget(spp=count), Config.uniform(batch=size[0] * size[1]), seed=1)
+    batches = []
+    while not sampler.done:
+        batches.append(sampler.ask())
+        sampler.tell(batches[-1], np.full((len(batches[-1]), 3), 0.5, np.float32))
+    return batches
+
+
+def trivial_rates(folder: Path, positions: int, processes: int, rounds: int) -> dict[str, float]:
+    """The figures of one setting on the trivial scene."""
+    size = (WIDTH, positions // WIDTH)
+    (scene := folder / "trivial.pov").write_text(TRIVIAL)
+    renderer = PovRayRenderer(scene, size=size, processes=processes, check=False)
+    seconds, cpu = ours(renderer, drawn(size, rounds + 1))
+    renderer.close()
+    count = size[0] * size[1]
+    return {
+        "positions": count,
+        "processes": processes,
+        "rate_median": count / float(np.median(seconds)),
+        "rate_best": count / min(seconds),
+        "povray_microseconds": 1e6 * cpu["povray"] / (rounds * count),
+        "python_microseconds": 1e6 * cpu["python"] / (rounds * count),
+    }
+
+
+def overhead(folder: Path, positions: int, processes: int, rounds: int) -> dict[str, Any]:
+    """On the heavy scene: processor microseconds a position of both, and the overhead in each round."""
+    size = (WIDTH, positions // WIDTH)
+    (scene := folder / "heavy.pov").write_text(HEAVY)
+    renderer = PovRayRenderer(scene, size=size, processes=processes, check=False)
+    batches, count = drawn(size, rounds + 1), size[0] * size[1]
+    renderer(batches[0])
+    pairs = []
+    for batch in batches[1:]:
+        # The same processes wait before and after: what one batch spends on starting the next one's is as in any other.
+        before, began = renderer.seconds["cpu"], time.process_time()
+        renderer(batch)
+        both = renderer.seconds["cpu"] - before + time.process_time() - began
+        pairs.append((native(HEAVY, size), both))
+    renderer.close()
+    table = np.array(pairs) / count * 1e6
+    return {
+        "positions": count,
+        "processes": processes,
+        "native_microseconds": float(np.median(table[:, 0])),
+        "our_microseconds": float(np.median(table[:, 1])),
+        "overhead_median": float(np.median(1 - table[:, 0] / table[:, 1])),
+        "overhead_by_round": [float(value) for value in 1 - table[:, 0] / table[:, 1]],
+    }
+
+
+def table(figures: dict[str, Any]) -> str:
+    """The figures as Markdown."""
+    lines = [
+        "# Throughput of the POV-Ray adapter\n",
+        f"`{figures['command']}` on {figures['processors']} processors, with {figures['version']}. What is measured is "
+        "in the head of `benchmarks/povray_throughput.py`.\n",
+        "A trivial scene; microseconds are of processor time, for each position:\n",
+        "| positions in a batch | processes | positions/s, median | best | POV-Ray, us | our process, us |",
+        "|---:|---:|---:|---:|---:|---:|",
+    ]
+    for row in figures["trivial"]:
+        lines.append(
+            f"| {row['positions']} | {row['processes']} | {row['rate_median']:.0f} | {row['rate_best']:.0f} | "
+            f"{row['povray_microseconds']:.2f} | {row['python_microseconds']:.2f} |"
+        )
+    lines += [f"\n{_sentence(heavy)}" for heavy in figures["heavy"]]
+    return "\n".join(lines) + "\n"
+
+
+def _sentence(heavy: dict[str, Any]) -> str:
+    return (
+        f"A scene that POV-Ray with its own camera traces in {heavy['native_microseconds']:.1f} us a position takes "
+        f"{heavy['our_microseconds']:.1f} us by batches of {heavy['positions']} in {heavy['processes']} processes, all "
+        f"in processor time: an overhead of {heavy['overhead_median']:.1%} (rounds from "
+        f"{min(heavy['overhead_by_round']):.1%} to {max(heavy['overhead_by_round']):.1%})."
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measures, prints the table and writes the figures where asked."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    parser.add_argument("--positions", default="20000,80000,320000", help="in a batch")
+    parser.add_argument("--processes", default="1,2,4,8", help="at once")
+    parser.add_argument("--rounds", type=int, default=6)
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="folder of povray_throughput.md and .json")
+    options = parser.parse_args(arguments)
+    figures: dict[str, Any] = {
+        "command": "python " + " ".join(sys.argv),
+        "version": PovRayRenderer.version(),
+        "processors": len(os.sched_getaffinity(0)),
+        "trivial": [],
+    }
+    with tempfile.TemporaryDirectory() as name:
+        for positions in (int(count) for count in options.positions.split(",")):
+            for processes in (int(count) for count in options.processes.split(",")):
+                figures["trivial"].append(trivial_rates(Path(name), positions, processes, options.rounds))
+                print(figures["trivial"][-1], file=sys.stderr)
+        each = len(os.sched_getaffinity(0))
+        figures["heavy"] = [overhead(Path(name), 80_000, count, options.rounds) for count in (each, 2 * each)]
+    print(table(figures))
+    if options.output:
+        options.output.mkdir(parents=True, exist_ok=True)
+        (options.output / "povray_throughput.md").write_text(table(figures), encoding="utf-8")
+        (options.output / "povray_throughput.json").write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
