@@ -8,11 +8,11 @@ its rate end to end, batch after batch from the second on, as the median and the
 time the microseconds a position that go to POV-Ray (its start, reading the rays, tracing) and to our own process
 (writing rays, reading images). The machine may be shared: processor time hardly depends on that, rates do.
 
-"heavy" is the same ball under an area light of so many lamps that POV-Ray itself needs about 40 microseconds a
-position. There the
+"heavy" is the same ball under an area light, for which POV-Ray itself needs tens of microseconds a position. There the
 overhead is 1 - native / ours: both are the processor seconds of a batch of as many positions, ours of all processes
 and of our own, native of POV-Ray with the scene's own camera on an image of as many pixels, one after the other in
-each round. So start and parsing of the scene count on both sides, and reading rays, sending and reading images in ours.
+each round. So start and parsing of the scene count on both sides, and reading rays and images in ours, and that its
+rays come shuffled and not line by line.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def native(text: str, size: tuple[int, int]) -> float:
         switches = [f"+W{size[0]}", f"+H{size[1]}", "+FE", "+Oimage.exr", "-A", "-GD", "-GR", "-GS"]
         result = program.run(folder, text, switches)
         result.check("the scene")
-        return result.cpu
+        return float(result.cpu)
 
 
 def drawn(size: tuple[int, int], count: int) -> list[Any]:
