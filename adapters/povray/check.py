@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from .program import private_folder
 from .ray_mesh import mesh_camera
 from .source import IMAGE, Source
 
-__all__ = ["check", "small"]
+__all__ = ["Agreement", "check", "small"]
 
 Image = NDArray[np.float32]
 _WIDTH = 64  # pixels
@@ -31,13 +32,34 @@ def small(width: int, height: int) -> tuple[int, int]:
     return _WIDTH, max(1, min(4 * _WIDTH, round(_WIDTH * height / width)))
 
 
-def check(source: Source, camera: Camera, width: int, height: int) -> None:
+@dataclass(frozen=True)
+class Agreement:
+    """How far POV-Ray's image by the scene's own camera and ours agree.
+
+    Attributes
+    ----------
+    same
+        The share of the pixels that are the same within 1 %.
+    apart
+        The mean difference relative to the mean.
+    noise
+        The same between two images of ours with other random numbers; None if all but a few pixels are the same.
+    """
+
+    same: float
+    apart: float
+    noise: float | None = None
+
+    @property
+    def good(self) -> bool:
+        """Whether nearly all pixels are the same or, where light or lens are random, as close as ours to each other."""
+        return self.noise is None or self.apart <= max(_NOISE * self.noise, _SAME)
+
+
+def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
     """Compares images of `width` by `height` pixels, for which `camera` is the scene's.
 
-    They have to be the same in nearly all pixels or, where a scene's light or lens is random, as close to each other as
-    two images of ours with other random numbers.
-
-    Raises ValueError if they are not, and as `Source.run`.
+    Raises ValueError if they do not agree, and as `Source.run`.
     """
     with contextlib.ExitStack() as stack:
         folders = [stack.enter_context(private_folder()) for _ in range(4)]
@@ -47,16 +69,18 @@ def check(source: Source, camera: Camera, width: int, height: int) -> None:
         ours = _Rays(scene, camera, width, height, 1).image(folders[2])  # while the other runs
         own.wait(source.timeout).check(str(source.file))
         theirs = _image(folders[1], source.file, width, height)
-        if not camera.has_lens and _same(theirs, ours) >= _SHARE:
-            return
+        same, apart = _same(theirs, ours), _apart(theirs, ours)
+        if not camera.has_lens and same >= _SHARE:
+            return Agreement(same, apart)
         again = _Rays(scene, camera, width, height, 2).image(folders[3])
-    noise, apart = _apart(ours, again), _apart(theirs, ours)
-    if apart > max(_NOISE * noise, _SAME):
+    agreement = Agreement(same, apart, _apart(ours, again))
+    if not agreement.good:
         raise ValueError(
             f"the camera found in {source.file} is not the one that POV-Ray uses: in images of {width}x{height} pixels "
-            f"the two differ by {apart:.1%} on average, and by {noise:.1%} from one time to the next; give the camera "
-            "(its location, right, up and direction), or leave out the check"
+            f"the two differ by {apart:.1%} on average, and by {agreement.noise:.1%} from one time to the next; "
+            "give the camera (its location, right, up and direction), or leave out the check"
         )
+    return agreement
 
 
 class _Rays:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import shutil
 import tempfile
@@ -70,6 +69,8 @@ class PovRayRenderer:
     ----------
     camera
         The `Camera`.
+    agreement
+        How far its small image agrees with the scene's own, a `check.Agreement`; None if it was not checked.
     clamped
         In how many samples so far radiance was infinite, beyond half floats, and is 65504 instead.
     seconds
@@ -126,8 +127,14 @@ class PovRayRenderer:
         made = with_photons_saved(self._source, self._folder)
         made = with_radiosity_saved(made, self.width, self.height, self._folder)
         self.scene = file
-        self.camera = _camera(camera) if camera is not None else _found(made, self.width, self.height, check)
         self._own_camera = camera is None
+        self.agreement: checks.Agreement | None = None
+        if camera is not None:
+            self.camera = _camera(camera)
+        else:
+            self.camera = extract(made, self.width, self.height)
+            if check:
+                self.agreement = _checked(made, self.camera, self.width, self.height)
         self.clamped = 0
         self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or 2 * _processors())
 
@@ -241,14 +248,10 @@ class PovRayRenderer:
         return file, options.read(given), (made.camera.width, made.camera.height)
 
 
-def _found(made: source.Source, width: int, height: int, check: bool) -> Camera:
-    """The scene's own camera, checked if wanted."""
-    find = functools.partial(extract, made)
-    camera = find(width, height)
-    if check:
-        small = checks.small(width, height)
-        checks.check(made, camera if small == (width, height) else find(*small), *small)
-    return camera
+def _checked(made: source.Source, camera: Camera, width: int, height: int) -> checks.Agreement:
+    """Whether a small image by the camera that was found is the scene's own."""
+    small = checks.small(width, height)
+    return checks.check(made, camera if small == (width, height) else extract(made, *small), *small)
 
 
 def _camera(given: Camera | Mapping[str, Any]) -> Camera:
