@@ -1,10 +1,10 @@
-"""All metrics of one image against another, each with the constants that shaped it."""
+"""All metrics of one image against another, each with the constants that shaped it, and their maps."""
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from . import metrics
 
@@ -23,6 +23,23 @@ class Measure:
         return asdict(self)
 
 
+@dataclass(frozen=True)
+class ErrorMap:
+    """A metric's per-pixel terms: ``values`` (height, width), of RGB errors the mean over the channels.
+
+    ``metric`` is the function's name in :mod:`pmc_sampler.eval.metrics`, ``name`` the one in tables; ``worst``
+    and ``best`` are the ends of the metric's range, ``worst`` infinite where it has none.
+    """
+
+    metric: str
+    name: str
+    values: NDArray[np.float64]
+    unit: str
+    constants: dict[str, float]
+    best: float = 0.0
+    worst: float = float("inf")
+
+
 def compare(
     test: ArrayLike,
     reference: ArrayLike,
@@ -38,36 +55,74 @@ def compare(
     under 11x11 pixels, HDR-FLIP and the bias for a black reference: they do not exist there. Raises
     ``ValueError`` as the metrics do.
     """
-    return list(_measures(test, reference, white_luminance, exposure, pixels_per_degree))
+    return [
+        Measure(row.name, row.value(test, reference, **row.arguments), row.unit, row.constants)
+        for row in _rows(reference, white_luminance, exposure, pixels_per_degree)
+    ]
 
 
-def _measures(test: ArrayLike, reference: ArrayLike, white: float, exposure: float, ppd: float) -> Iterator[Measure]:
-    cd = {"white_luminance_cd_m2": white}
-    yield Measure("tvi error", metrics.tvi_error(test, reference, white_luminance=white), "thresholds^2", cd)
-    yield Measure(
-        "mean threshold ratio",
-        metrics.threshold_ratio(test, reference, white_luminance=white),
-        "thresholds",
-        cd,
-    )
-    yield Measure("visible pixels", metrics.visible_pixels(test, reference, white_luminance=white), "", cd)
-    yield Measure("MSE", metrics.mse(test, reference))
-    yield Measure("RMSE", metrics.rmse(test, reference))
-    yield Measure("PSNR", metrics.psnr(test, reference, peak=1.0), "dB", {"peak": 1.0})
-    if min(np.shape(reference)[:2]) >= 11:
-        yield Measure(
-            "SSIM", metrics.ssim(test, reference, exposure=exposure), "", {"exposure": exposure, "sigma": 1.5}
-        )
-    yield Measure("relMSE", metrics.relmse(test, reference), "", {"epsilon": 0.01})
-    yield Measure("relMSE, trimmed", metrics.relmse(test, reference, trim=0.001), "", {"epsilon": 0.01, "trim": 0.001})
-    yield Measure("SMAPE", metrics.smape(test, reference), "", {"epsilon": 0.01})
-    if not np.max(np.asarray(reference)) > 0.0:
-        return
-    exposures = metrics.flip_exposures(reference)
-    yield Measure(
-        "HDR-FLIP",
-        metrics.flip(test, reference, pixels_per_degree=ppd, exposures=exposures),
-        "",
-        {"pixels_per_degree": ppd, "start_exposure": exposures[0], "stop_exposure": exposures[1]},
-    )
-    yield Measure("bias", metrics.bias(test, reference))
+def error_maps(
+    test: ArrayLike,
+    reference: ArrayLike,
+    *,
+    white_luminance: float = metrics.WHITE_LUMINANCE,
+    exposure: float = 1.0,
+    pixels_per_degree: float = metrics.PIXELS_PER_DEGREE,
+) -> list[ErrorMap]:
+    """The map of every metric that has one; arguments, omissions and errors as :func:`compare`."""
+    found = []
+    for row in _rows(reference, white_luminance, exposure, pixels_per_degree):
+        if row.terms is None:
+            continue
+        values = row.terms(test, reference, **row.arguments)
+        values = values.mean(axis=2) if values.ndim == 3 else values
+        metric = row.value.__name__
+        found.append(ErrorMap(metric, row.name, values, row.unit, row.constants, row.best, row.worst))
+    return found
+
+
+@dataclass(frozen=True)
+class _Row:
+    name: str
+    value: Callable[..., float]
+    terms: Callable[..., NDArray[np.float64]] | None = None
+    unit: str = ""
+    arguments: dict[str, object] = field(default_factory=dict)
+    constants: dict[str, float] = field(default_factory=dict)
+    best: float = 0.0
+    worst: float = float("inf")
+
+
+def _rows(reference: ArrayLike, white: float, exposure: float, ppd: float) -> list[_Row]:
+    m = metrics
+    r = np.asarray(reference, dtype=np.float64)
+    cd: dict[str, object] = {"white_luminance": white}
+    shown: dict[str, object] = {"exposure": exposure}
+    angle: dict[str, object] = {"pixels_per_degree": ppd}
+    cd_, shown_, angle_ = {"white_luminance_cd_m2": white}, {"exposure": exposure}, {"pixels_per_degree": ppd}
+    rows = [
+        _Row("tvi error", m.tvi_error, m.tvi_error_map, "thresholds^2", cd, cd_),
+        _Row("mean threshold ratio", m.threshold_ratio, m.threshold_ratio_map, "thresholds", cd, cd_),
+        _Row("visible pixels", m.visible_pixels, None, "", cd, cd_),
+        _Row("Yee", m.yee, None, "", {**cd, **angle}, {**cd_, **angle_}),
+        _Row("MSE", m.mse, m.squared_error_map),
+        _Row("RMSE", m.rmse),
+        _Row("PSNR", m.psnr, None, "dB", {"peak": 1.0}, {"peak": 1.0}),
+        _Row("relMSE", m.relmse, m.relmse_map, "", {"epsilon": 0.01}, {"epsilon": 0.01}),
+        _Row("relMSE, trimmed", m.relmse, None, "", {"trim": 0.001}, {"epsilon": 0.01, "trim": 0.001}),
+        _Row("SMAPE", m.smape, m.smape_map, "", {"epsilon": 0.01}, {"epsilon": 0.01}, worst=2.0),
+        _Row("PU21-PSNR", m.pu21_psnr, None, "dB", cd, cd_ | {"peak": 256.0}),
+        _Row("delta E 2000", m.delta_e, m.delta_e_map, "", shown, shown_),
+        _Row("LDR-FLIP", m.ldr_flip, m.ldr_flip_map, "", {**shown, **angle}, {**shown_, **angle_}, worst=1.0),
+    ]
+    if min(r.shape[:2], default=0) >= 11:
+        sigma = {"sigma": 1.5}
+        rows.append(_Row("SSIM", m.ssim, m.ssim_map, "", shown, shown_ | sigma, best=1.0, worst=0.0))
+        rows.append(_Row("PU21-SSIM", m.pu21_ssim, None, "", cd, cd_ | sigma))
+    if r.size and np.isfinite(r).all() and r.max() > 0.0:
+        start, stop = m.flip_exposures(r)
+        range_ = {"start_exposure": start, "stop_exposure": stop}
+        arguments = {**angle, "exposures": (start, stop)}
+        rows.append(_Row("HDR-FLIP", m.flip, m.flip_map, "", arguments, angle_ | range_, worst=1.0))
+        rows.append(_Row("bias", m.bias))
+    return rows

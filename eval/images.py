@@ -26,11 +26,15 @@ class ImageError(ValueError):
 
 @dataclass(frozen=True)
 class Image:
-    """What a file holds: ``rgb`` (height, width, 3) float32, linear; layers and metadata by name."""
+    """What a file holds: ``rgb`` (height, width, 3) float32, linear; layers and metadata by name.
+
+    ``encoded`` says that the file's values were display-encoded, and ``rgb`` is what decoding them gave.
+    """
 
     rgb: NDArray[np.float32]
     layers: dict[str, NDArray[np.float32]]
     metadata: dict[str, str | float | int]
+    encoded: bool = False
 
 
 def require() -> ModuleType:
@@ -102,6 +106,16 @@ def write_exr(
     _write(path, np.concatenate(planes, axis=2), names, {"compression": "zip", **(metadata or {})})
 
 
+def write_exr_plane(
+    path: str | os.PathLike[str], values: ArrayLike, metadata: Mapping[str, str | float | int] | None = None
+) -> None:
+    """Write values of shape (height, width) as the channel ``Y`` of an EXR file, as :func:`write_exr` does."""
+    plane = np.asarray(values, dtype=np.float32)
+    if plane.ndim != 2:
+        raise ImageError(f"the values must have the shape (height, width); their shape is {plane.shape}.")
+    _write(path, plane[..., None], ["Y"], {"compression": "zip", **(metadata or {})})
+
+
 def write_png(path: str | os.PathLike[str], rgb: ArrayLike, exposure: float = 1.0) -> None:
     """Write linear RGB of shape (height, width, 3) as an 8-bit PNG, tone-mapped by :func:`display`."""
     write_png_encoded(path, display(rgb, exposure))
@@ -140,10 +154,11 @@ def read(path: str | os.PathLike[str]) -> Image:
     values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
     planes = dict(zip(spec.channelnames, np.moveaxis(values, 2, 0), strict=True))
     rgb = _main_channels(planes, source)
-    if str(spec.format) not in ("float", "half", "double"):
+    encoded = str(spec.format) not in ("float", "half", "double")
+    if encoded:
         rgb = srgb_decode(rgb)
     metadata = {item.name: item.value for item in spec.extra_attribs}
-    return Image(rgb, _layers(planes), metadata)
+    return Image(rgb, _layers(planes), metadata, encoded)
 
 
 def _main_channels(planes: dict[str, NDArray[np.float32]], source: Path) -> NDArray[np.float32]:

@@ -3,36 +3,59 @@
 import argparse
 import json
 import math
+import sys
+from typing import Any
 
 from .errors import CommandError
 from .optional import load
 
 
 def compare(options: argparse.Namespace) -> int:
-    """Print every metric with the constants that shaped it, as a table or as one JSON object."""
+    """Print every metric with the constants that shaped it, as a table or as one JSON object; write maps."""
     images = load("pmc_sampler.eval.images", "comparing images", "eval")
     comparison = load("pmc_sampler.eval.compare", "comparing images", "eval")
+    settings = {name: getattr(options, name) for name in ("white_luminance", "exposure", "pixels_per_degree")}
     try:
-        measures = comparison.compare(
-            images.read(options.test).rgb,
-            images.read(options.reference).rgb,
-            white_luminance=options.white_luminance,
-            exposure=options.exposure,
-        )
+        pictures = {path: images.read(path) for path in (options.test, options.reference)}
+        pair = (pictures[options.test].rgb, pictures[options.reference].rgb)
+        measures = comparison.compare(*pair, **settings)
+        files = []
+        if options.maps is not None:
+            maps = load("pmc_sampler.eval.maps", "drawing maps", "eval")
+            files = maps.write(options.maps, comparison.error_maps(*pair, **settings))
     except ImportError as error:
         raise CommandError(
             f"a metric needs a package that cannot be imported ({error}): pip install 'pmc-sampler[eval]'."
         ) from error
     except ValueError as error:
         raise CommandError(str(error)) from error
+    decoded = [str(path) for path, picture in pictures.items() if picture.encoded]
     if options.json:
         rows = [measure.as_dict() for measure in measures]
         for row in rows:
             if not math.isfinite(row["value"]):
                 row["value"] = None
-        print(json.dumps({"test": str(options.test), "reference": str(options.reference), "metrics": rows}, indent=2))
+        summary = {"test": str(options.test), "reference": str(options.reference), "decoded_from_srgb": decoded}
+        print(json.dumps({**summary, "metrics": rows, "maps": [str(file) for file in files]}, indent=2))
         return 0
+    _print(measures)
+    for name in decoded:
+        print(f"{name} holds display-encoded values: they were decoded as sRGB, brighter light than white is lost.")
+    if files:
+        print(f"{len(files) // 2} maps, each as EXR and PNG, are written in {str(options.maps)!r}.")
+    return 0
+
+
+def _print(measures: list[Any]) -> None:
+    load("rich", "printing a table", "cli")
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, header_style="bold")
+    for heading, justify in (("metric", "left"), ("value", "right"), ("unit", "left"), ("constants", "left")):
+        table.add_column(heading, justify=justify, no_wrap=not sys.stdout.isatty())  # type: ignore[arg-type]
     for measure in measures:
         constants = ", ".join(f"{name} {value:g}" for name, value in measure.constants.items())
-        print(f"{measure.name:22}{measure.value:>14.6g} {measure.unit:14}{constants}".rstrip())
-    return 0
+        table.add_row(measure.name, f"{measure.value:.6g}", measure.unit, constants)
+    # Files and pipes have no width: their lines stay whole.
+    Console(highlight=False, width=None if sys.stdout.isatty() else 200).print(table)
