@@ -27,8 +27,8 @@ class Measure:
 class ErrorMap:
     """A metric's per-pixel terms: ``values`` (height, width), of RGB errors the mean over the channels.
 
-    ``metric`` is the function's name in :mod:`pmc_sampler.eval.metrics`, ``name`` the one in tables; ``worst``
-    and ``best`` are the ends of the metric's range, ``worst`` infinite where it has none.
+    ``metric`` is the function's name in :mod:`pmc_sampler.eval.metrics`, ``name`` the one in tables; ``best`` is
+    the value of equal images.
     """
 
     metric: str
@@ -37,7 +37,6 @@ class ErrorMap:
     unit: str
     constants: dict[str, float]
     best: float = 0.0
-    worst: float = float("inf")
 
 
 def compare(
@@ -77,7 +76,7 @@ def error_maps(
         values = row.terms(test, reference, **row.arguments)
         values = values.mean(axis=2) if values.ndim == 3 else values
         metric = row.value.__name__
-        found.append(ErrorMap(metric, row.name, values, row.unit, row.constants, row.best, row.worst))
+        found.append(ErrorMap(metric, row.name, values, row.unit, row.constants, row.best))
     return found
 
 
@@ -90,7 +89,6 @@ class _Row:
     arguments: dict[str, object] = field(default_factory=dict)
     constants: dict[str, float] = field(default_factory=dict)
     best: float = 0.0
-    worst: float = float("inf")
 
 
 def _rows(reference: ArrayLike, white: float, exposure: float, ppd: float) -> list[_Row]:
@@ -110,19 +108,19 @@ def _rows(reference: ArrayLike, white: float, exposure: float, ppd: float) -> li
         _Row("PSNR", m.psnr, None, "dB", {"peak": 1.0}, {"peak": 1.0}),
         _Row("relMSE", m.relmse, m.relmse_map, "", {"epsilon": 0.01}, {"epsilon": 0.01}),
         _Row("relMSE, trimmed", m.relmse, None, "", {"trim": 0.001}, {"epsilon": 0.01, "trim": 0.001}),
-        _Row("SMAPE", m.smape, m.smape_map, "", {"epsilon": 0.01}, {"epsilon": 0.01}, worst=2.0),
+        _Row("SMAPE", m.smape, m.smape_map, "", {"epsilon": 0.01}, {"epsilon": 0.01}),
         _Row("PU21-PSNR", m.pu21_psnr, None, "dB", cd, cd_ | {"peak": 256.0}),
         _Row("delta E 2000", m.delta_e, m.delta_e_map, "", shown, shown_),
-        _Row("LDR-FLIP", m.ldr_flip, m.ldr_flip_map, "", {**shown, **angle}, {**shown_, **angle_}, worst=1.0),
+        _Row("LDR-FLIP", m.ldr_flip, m.ldr_flip_map, "", {**shown, **angle}, {**shown_, **angle_}),
     ]
     if min(r.shape[:2], default=0) >= 11:
         sigma = {"sigma": 1.5}
-        rows.append(_Row("SSIM", m.ssim, m.ssim_map, "", shown, shown_ | sigma, best=1.0, worst=0.0))
+        rows.append(_Row("SSIM", m.ssim, m.ssim_map, "", shown, shown_ | sigma, best=1.0))
         rows.append(_Row("PU21-SSIM", m.pu21_ssim, None, "", cd, cd_ | sigma))
     if r.size and np.isfinite(r).all() and r.max() > 0.0:
         start, stop = m.flip_exposures(r)
         range_ = {"start_exposure": start, "stop_exposure": stop}
         arguments = {**angle, "exposures": (start, stop)}
-        rows.append(_Row("HDR-FLIP", m.flip, m.flip_map, "", arguments, angle_ | range_, worst=1.0))
+        rows.append(_Row("HDR-FLIP", m.flip, m.flip_map, "", arguments, angle_ | range_))
         rows.append(_Row("bias", m.bias))
     return rows

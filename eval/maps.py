@@ -20,8 +20,9 @@ _SMALLEST = 360  # pixels: smaller maps are shown enlarged by a whole factor, ea
 def draw(error: ErrorMap) -> NDArray[np.float32]:
     """The map as a picture of shape (height, width, 3), display-encoded in [0, 1]: dark is good, bright is bad.
 
-    The scale runs from the metric's best to its worst value; where there is no worst, to the 99.5th
-    percentile, and an arrow says that brighter pixels exceed it. Maps are at least drawn pixel for pixel.
+    The scale runs from the metric's best value to the 99.5th percentile of the distances from it, so that
+    single specks do not darken the rest; an arrow says that pixels lie beyond. Nothing is drawn smaller than
+    pixel for pixel.
     """
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -35,10 +36,11 @@ def draw(error: ErrorMap) -> NDArray[np.float32]:
     figure = Figure(figsize=(left + w + right, top + h + bottom), dpi=_DPI)
     total_w, total_h = left + w + right, top + h + bottom
     axes = figure.add_axes((left / total_w, bottom / total_h, w / total_w, h / total_h))
-    bounded = np.isfinite(error.worst)
-    worst = error.worst if bounded else max(float(np.quantile(values, 0.995)), np.finfo(np.float32).tiny)
-    colours = colormaps[COLOUR_MAP if worst > error.best else COLOUR_MAP + "_r"]
-    low, high = sorted((error.best, worst))
+    # At least a float's smallest step: the map of equal images has a scale too.
+    reach = max(float(np.quantile(np.abs(values - error.best), 0.995)), float(np.finfo(np.float32).eps))
+    upwards = error.best < 1.0
+    low, high = (error.best, error.best + reach) if upwards else (error.best - reach, error.best)
+    colours = colormaps[COLOUR_MAP if upwards else f"{COLOUR_MAP}_r"]
     picture = axes.imshow(values, cmap=colours, vmin=low, vmax=high, interpolation="nearest")
     axes.set_axis_off()
     axes.set_title(_title(error), fontsize=9, loc="left")
@@ -75,4 +77,4 @@ def write(folder: str | os.PathLike[str], errors: list[ErrorMap]) -> list[Path]:
 
 def _title(error: ErrorMap) -> str:
     constants = ", ".join(f"{name.replace('_', ' ')} {value:.4g}" for name, value in error.constants.items())
-    return f"{error.name}, mean {error.values.mean():.4g}" + (f"\n{constants}" if constants else "")
+    return f"{error.name}, mean of the map {error.values.mean():.4g}" + (f"\n{constants}" if constants else "")

@@ -576,6 +576,28 @@ def test_compare_refuses_images_that_do_not_match(
     assert "5x4" in capsys.readouterr().err
     assert main(["compare", "c.exr", "a.exr"]) == 2
     assert "not finite" in capsys.readouterr().err
+    (tmp_path / "file").write_text("")
+    assert main(["compare", "a.exr", "a.exr", "--maps", "file"]) == 2
+    assert "'file' for maps cannot be made" in capsys.readouterr().err
+
+
+def test_compare_writes_maps_and_says_what_it_decoded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    image = np.random.default_rng(1).random((16, 20, 3))
+    images.write_exr("a.exr", image)
+    images.write_png("b.png", image)
+    assert main(["compare", "b.png", "a.exr", "--maps", "maps"]) == 0
+    out = capsys.readouterr().out
+    assert "b.png holds display-encoded values: they were decoded as sRGB" in out
+    assert "a.exr holds" not in out
+    assert "written in 'maps'" in out
+    assert (tmp_path / "maps" / "tvi_error.exr").is_file()
+    assert main(["compare", "b.png", "a.exr", "--json", "--maps", "maps"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["decoded_from_srgb"] == ["b.png"]
+    assert sorted(found["maps"]) == sorted(str(Path("maps") / name) for name in os.listdir("maps"))
 
 
 def test_scenes_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -14,7 +14,7 @@ from pmc_sampler.eval.display import SHOULDER, display, srgb_decode, srgb_encode
 
 from pmc_sampler import luminance
 
-pytestmark = pytest.mark.needs("skimage", "flip_evaluator", "OpenImageIO", "scipy")
+pytestmark = pytest.mark.needs("skimage", "flip_evaluator", "OpenImageIO", "colour", "scipy")
 
 SHAPE = (24, 32, 3)
 
@@ -121,9 +121,11 @@ def test_bias_is_relative_and_signed(pair: tuple[np.ndarray, np.ndarray]) -> Non
 def test_equal_images_have_no_error(pair: tuple[np.ndarray, np.ndarray]) -> None:
     _, r = pair
     values = {measure.name: measure.value for measure in compare.compare(r, r)}
-    assert values.pop("PSNR") == math.inf
+    assert values.pop("PSNR") == values.pop("PU21-PSNR") == math.inf
     assert values.pop("SSIM") == pytest.approx(1.0)
+    assert values.pop("PU21-SSIM") == pytest.approx(1.0)
     assert values.pop("HDR-FLIP") == pytest.approx(0.0, abs=1e-6)
+    assert values.pop("LDR-FLIP") == pytest.approx(0.0, abs=1e-6)
     assert set(values.values()) == {0.0}
 
 
@@ -215,6 +217,11 @@ def test_compare_leaves_out_what_does_not_exist() -> None:
         metrics.relmse,
         metrics.smape,
         metrics.flip,
+        metrics.ldr_flip,
+        metrics.pu21_psnr,
+        metrics.pu21_ssim,
+        metrics.delta_e,
+        metrics.yee,
         metrics.bias,
     ],
 )
@@ -229,6 +236,10 @@ def test_bad_constants_are_refused(pair: tuple[np.ndarray, np.ndarray]) -> None:
         metrics.relmse(x, r, trim=1.0)
     with pytest.raises(ValueError, match="white_luminance"):
         metrics.tvi_error(x, r, white_luminance=0.0)
+    with pytest.raises(ValueError, match="epsilon"):
+        metrics.smape(x, r, epsilon=0.0)
+    with pytest.raises(ValueError, match="pixels_per_degree"):
+        metrics.yee(x, r, pixels_per_degree=-1.0)
     with pytest.raises(ValueError, match="start <= stop"):
         metrics.flip(x, r, exposures=(2.0, 1.0))
     with pytest.raises(ValueError, match="black reference"):
