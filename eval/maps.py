@@ -50,8 +50,9 @@ def draw(error: ErrorMap) -> NDArray[np.float32]:
     scale.set_label(error.unit or error.name, fontsize=8)
     scale.ax.tick_params(labelsize=8)
     canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba(), dtype=np.float32)[..., :3] / 255.0
+    canvas.draw()  # type: ignore[no-untyped-call]
+    pixels = np.asarray(canvas.buffer_rgba(), dtype=np.float32)  # type: ignore[no-untyped-call]
+    return pixels[..., :3] / np.float32(255.0)
 
 
 def write(folder: str | os.PathLike[str], errors: list[ErrorMap]) -> list[Path]:

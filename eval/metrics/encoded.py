@@ -34,7 +34,7 @@ def ssim_map(test: ArrayLike, reference: ArrayLike, *, exposure: float = 1.0) ->
     :func:`ssim` is its mean without the five pixels at each border, whose windows lack a part.
     """
     x, r = pair(test, reference)
-    return _ssim(display(x, exposure), display(r, exposure), data_range=1.0)[1].mean(axis=2)
+    return np.asarray(_ssim(display(x, exposure), display(r, exposure), data_range=1.0)[1].mean(axis=2))
 
 
 def pu21_encode(luminance_cd_m2: ArrayLike) -> Pixels:
@@ -119,7 +119,7 @@ def flip(
     pixels_per_degree: float = PIXELS_PER_DEGREE,
     exposures: tuple[float, float] | None = None,
 ) -> float:
-    """Mean HDR-FLIP, 0 to 1 (Andersson et al. 2021, doi:10.2312/sr.20211304; package ``flip-evaluator``).
+    """Mean HDR-FLIP, 0 to 1 (Andersson et al. 2021, doi:10.2312/egs.20211015; package ``flip-evaluator``).
 
     ``exposures`` is the range (start, stop) in stops over which the images are compared. Without it the
     package derives the range from the reference; :func:`flip_exposures` says which, so that it can be fixed

@@ -52,9 +52,9 @@ def relmse(
 ) -> float:
     """Relative mean squared error, ``mean(d^2 / (r^2 + epsilon))`` over pixels and channels.
 
-    The convention of Rousselle et al. 2011 (doi:10.1145/2024156.2024193). ``trim`` is the fraction of the
-    largest terms left out (0.001 drops the worst 0.1 %, so that single bright specks do not decide); it must
-    lie in [0, 1). Which are largest is decided before the reference's variance is subtracted.
+    ``trim`` is the fraction of the largest terms left out (0.001 drops the worst 0.1 %, so that single
+    bright specks do not decide); it must lie in [0, 1). Which are largest is decided before the reference's
+    variance is subtracted.
     """
     if not 0.0 <= trim < 1.0:
         raise ValueError(f"trim must be a fraction of the values in [0, 1), for example 0.001; it is {trim!r}.")

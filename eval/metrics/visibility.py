@@ -85,12 +85,14 @@ def yee(
     halves = r.shape[1] / 2 / check_pixels_per_degree(pixels_per_degree)
     # The inverse of OpenImageIO's pixels per degree = width / (2 tan(fov / 2) 180 / pi).
     field_of_view = 2.0 * math.degrees(math.atan(math.radians(halves)))
-    buffers = [OpenImageIO.ImageBuf(np.ascontiguousarray(np.maximum(image, 0.0), dtype=np.float32)) for image in (r, x)]
+    first, second = (
+        OpenImageIO.ImageBuf(np.ascontiguousarray(np.maximum(image, 0.0), dtype=np.float32)) for image in (r, x)
+    )
     found = OpenImageIO.CompareResults()
     white = check_white_luminance(white_luminance)
-    OpenImageIO.ImageBufAlgo.compare_Yee(*buffers, found, luminance=white, fov=field_of_view)
-    if buffers[0].has_error:
-        raise ValueError(f"OpenImageIO cannot compare these images: {buffers[0].geterror()}.")
+    OpenImageIO.ImageBufAlgo.compare_Yee(first, second, found, luminance=white, fov=field_of_view)
+    if first.has_error:
+        raise ValueError(f"OpenImageIO cannot compare these images: {first.geterror()}.")
     return float(found.nfail / (r.shape[0] * r.shape[1]))
 
 

@@ -15,7 +15,6 @@ METHODS = ("pmc", "pmc-paper", "pt", NATIVE)
 DEFAULT_RENDERER = "opencl"
 RENDERERS = {".pov": "povray", ".ini": "povray"}  # of files that one renderer alone reads
 DEFAULT_SPP = 64
-PIXELS_PER_DEGREE = 3840 * math.pi / 180  # that of pmc_sampler.eval.metrics, which an installation may lack
 
 
 class Parser(argparse.ArgumentParser):
@@ -143,9 +142,8 @@ def _compare(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--pixels-per-degree",
         type=positive,
-        default=PIXELS_PER_DEGREE,
         metavar="N",
-        help="pixels per degree of visual angle; default: %(default).4g, FLIP's",
+        help="pixels per degree of visual angle; default: FLIP's, 67.02",
     )
     p.add_argument("--maps", type=Path, metavar="FOLDER", help="write each metric's map there, as EXR and PNG")
     p.add_argument("--json", action="store_true", help="print one JSON object")

@@ -14,7 +14,9 @@ def compare(options: argparse.Namespace) -> int:
     """Print every metric with the constants that shaped it, as a table or as one JSON object; write maps."""
     images = load("pmc_sampler.eval.images", "comparing images", "eval")
     comparison = load("pmc_sampler.eval.compare", "comparing images", "eval")
-    settings = {name: getattr(options, name) for name in ("white_luminance", "exposure", "pixels_per_degree")}
+    settings = {"white_luminance": options.white_luminance, "exposure": options.exposure}
+    if options.pixels_per_degree is not None:
+        settings["pixels_per_degree"] = options.pixels_per_degree
     try:
         pictures = {path: images.read(path) for path in (options.test, options.reference)}
         pair = (pictures[options.test].rgb, pictures[options.reference].rgb)

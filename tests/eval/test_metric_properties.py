@@ -14,7 +14,7 @@ pytestmark = pytest.mark.needs("skimage", "flip_evaluator", "OpenImageIO", "colo
 SHAPE = (12, 13, 3)
 # Values of single precision, as images have; nothing so small that its square underflows.
 IMAGES = arrays(np.float32, SHAPE, elements=st.floats(2.0**-10, 16.0, width=32))
-FEW = settings(max_examples=15, deadline=None)
+FEW = settings(max_examples=8, deadline=None)
 
 ERRORS = {
     name: getattr(metrics, name)

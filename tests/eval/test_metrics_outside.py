@@ -56,7 +56,7 @@ def test_relmse_of_oiiotool(test_image: np.ndarray, reference: np.ndarray) -> No
 
 
 def test_smape_of_oiiotool(test_image: np.ndarray, reference: np.ndarray) -> None:
-    """`oiiotool t.exr r.exr --absdiff --mulc 2 t.exr --abs r.exr --abs --add --addc 0.02 --div --printstats` (3.2.2)."""
+    """`oiiotool t.exr r.exr --absdiff --mulc 2 t.exr --abs r.exr --abs --add --addc 0.02 --div --printstats`, 3.2.2."""
     found = metrics.smape_map(test_image, reference).mean(axis=(0, 1))
     np.testing.assert_allclose(found, [0.079069, 0.062011, 0.039727], atol=6e-7)
     assert metrics.smape(test_image, reference) == pytest.approx(found.mean())
