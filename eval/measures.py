@@ -33,6 +33,11 @@ MEASURES: dict[str, Measure] = {
     "visible_pixels": lambda x, r, white: metrics.visible_pixels(x, r.mean, white_luminance=white),
     "ssim": lambda x, r, white: metrics.ssim(x, r.mean),
     "flip": lambda x, r, white: metrics.flip(x, r.mean, exposures=metrics.flip_exposures(r.mean)),
+    "ldr_flip": lambda x, r, white: metrics.ldr_flip(x, r.mean),
+    "pu21_psnr": lambda x, r, white: metrics.pu21_psnr(x, r.mean, white_luminance=white),
+    "pu21_ssim": lambda x, r, white: metrics.pu21_ssim(x, r.mean, white_luminance=white),
+    "delta_e": lambda x, r, white: metrics.delta_e(x, r.mean),
+    "yee": lambda x, r, white: metrics.yee(x, r.mean, white_luminance=white),
 }
 """Functions of (image, reference, white_luminance); the reference's own noise is subtracted where it can be."""
 
