@@ -5,6 +5,9 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(CURDIR)/$(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
+# An installation for editing knows the modules that there were: it is made again when there are others.
+MODULES := $(shell find pmc_sampler adapters eval scenes -name '*.py' | sort | cksum | cut -d ' ' -f 1)
+BUILT := $(VENV)/.built-$(MODULES)
 CORE := $(wildcard pmc_sampler/core/* adapters/opencl/core/*)
 DEMO_ARGS ?= -o demo/
 BENCH_ARGS ?= -o benchmarks/
@@ -47,7 +50,7 @@ clean:
 	rm -rf $(VENV) build dist demo .pytest_cache .mypy_cache .ruff_cache .hypothesis .coverage htmlcov
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-setup: $(VENV)/.built
+setup: $(BUILT)
 
 system-packages:
 	@PYTHON=$(PYTHON) .ci/system-packages
@@ -64,6 +67,7 @@ $(VENV)/.installed: pyproject.toml $(VENV)/.created
 	$(PIP) install --no-build-isolation --editable '.[dev]'
 	@touch $@
 
-$(VENV)/.built: $(VENV)/.installed CMakeLists.txt $(CORE)
+$(BUILT): $(VENV)/.installed CMakeLists.txt $(CORE)
 	$(PIP) install --no-deps --no-build-isolation --editable .
+	@rm -f $(VENV)/.built-*
 	@touch $@

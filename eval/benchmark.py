@@ -472,8 +472,15 @@ def fingerprint(files: Iterable[Path] = ()) -> str:
     """A hash of the code that makes and measures images: the sampler's, the baselines' and the metrics'."""
     package = Path(pmc_sampler.__file__).parent
     here = Path(__file__).parent
-    own = [here / f"{name}.py" for name in ("metrics", "measures", "display", "recorded")]
-    parts = [Path(_core.__file__), *package.glob("*.py"), *own, *(here / "baselines").glob("*.py"), *files]
+    own = [here / f"{name}.py" for name in ("measures", "display", "recorded")]
+    parts = [
+        Path(_core.__file__),
+        *package.glob("*.py"),
+        *own,
+        *(here / "baselines").glob("*.py"),
+        *(here / "metrics").glob("*.py"),
+        *files,
+    ]
     digest = hashlib.sha256()
     for part in sorted(parts):
         digest.update(part.name.encode() + b"\0" + part.read_bytes())
