@@ -69,7 +69,7 @@ class _State:
     def look(self) -> None:
         """Turns the camera to `look_at`, its right perpendicular to the sky; lengths and handedness stay."""
         lengths = [np.linalg.norm(v) for v in (self.right, self.up, self.direction)]
-        left = np.cross(self.up, self.direction) @ self.right < 0
+        left = not np.cross(self.up, self.direction) @ self.right > 0  # also with up along direction, as POV-Ray has it
         ahead = self.look_at - self.location
         ahead = ahead / np.linalg.norm(ahead)
         right = np.cross(self.sky, ahead)

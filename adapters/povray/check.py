@@ -21,6 +21,7 @@ __all__ = ["Agreement", "check", "small"]
 
 Image = NDArray[np.float32]
 _WIDTH = 64  # pixels
+_SHIFT = 2e-3  # pixels by which rays are moved at most: ten times their error
 _LENS = 16  # rays through the lens for each pixel
 _SAME = 0.01  # relative difference of values that count as the same
 _SHARE = 0.97  # of the pixels that are the same where there is no noise
@@ -43,7 +44,8 @@ class Agreement:
     apart
         The mean difference relative to the mean.
     noise
-        The same between two images of ours with other random numbers; None if all but a few pixels are the same.
+        The same between two images of ours with other random numbers, and moved by less than can be seen; None if
+        nearly all pixels are the same.
     """
 
     same: float
@@ -52,7 +54,7 @@ class Agreement:
 
     @property
     def good(self) -> bool:
-        """Whether nearly all pixels are the same or, where light or lens are random, as close as ours to each other."""
+        """Whether nearly all pixels are the same, or they are as close to each other as two images of ours."""
         return self.noise is None or self.apart <= max(_NOISE * self.noise, _SAME)
 
 
@@ -72,7 +74,7 @@ def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
         same, apart = _same(theirs, ours), _apart(theirs, ours)
         if not camera.has_lens and same >= _SHARE:
             return Agreement(same, apart)
-        again = _Rays(scene, camera, width, height, 2).image(folders[3])
+        again = _Rays(scene, camera, width, height, 2, _SHIFT).image(folders[3])
     agreement = Agreement(same, apart, _apart(ours, again))
     if not agreement.good:
         raise ValueError(
@@ -84,14 +86,19 @@ def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
 
 
 class _Rays:
-    """Rays through the centres of all pixels, in an order that `seed` gives."""
+    """Rays through the centres of all pixels in an order that `seed` gives, moved by `shift` pixels at most.
 
-    def __init__(self, source: Source, camera: Camera, width: int, height: int, seed: int) -> None:
+    Moved ones show how much an image means where it is finer than its pixels, as that of a fractal is.
+    """
+
+    def __init__(self, source: Source, camera: Camera, width: int, height: int, seed: int, shift: float = 0.0) -> None:
         self._source, self._size = source, (height, width, 3)
         self._rays = _LENS if camera.has_lens else 1
         pixel = np.repeat(np.arange(width * height, dtype=np.uint32), self._rays)
-        pixel = np.random.default_rng(seed).permutation(pixel)
+        rng = np.random.default_rng(seed)
+        pixel = rng.permutation(pixel)
         positions = np.stack([pixel % width + 0.5, pixel // width + 0.5], axis=1)
+        positions += rng.uniform(-shift, shift, positions.shape)
         seen = camera.sees(width, height, positions)
         self._pixel = pixel[seen]
         through = lens("independent", np.full(len(pixel), seed, np.uint32), np.arange(len(pixel), dtype=np.uint32))

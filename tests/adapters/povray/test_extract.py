@@ -22,6 +22,7 @@ CAMERAS = [
     # One order for all, since version 3.5.
     "camera { look_at <4, 2, 5> translate x rotate 30*y angle 50 sky <1, 3, 0> location <1, 2, 3> right 1.5*x }",
     "camera { direction <0, 0.2, 3> angle 60 right -1.5*x up <0.2, 1, 0> scale <1, 2, 1> }",
+    "camera { location <1, 3, 2> up z look_at 0 }",  # up along direction: neither right- nor left-handed
     "camera { location 2*y look_at 4*y }",  # the sky tells no right
     "camera { location 2*z sky z look_at 0 right -1.5*x }",
     "camera { perspective right x*image_width/image_height angle 0 location 1 }",
