@@ -133,8 +133,27 @@ def read(path: str | os.PathLike[str]) -> Image:
     8- and 16-bit files are taken as sRGB and decoded. A grey image becomes three equal channels; an alpha
     channel is left out. Raises :class:`ImageError` for a missing, foreign or damaged file.
     """
-    oiio = require()
     source = Path(path)
+    channels, spec = _open(source)
+    rgb = _main_channels(channels, source)
+    encoded = str(spec.format) not in ("float", "half", "double")
+    if encoded:
+        rgb = srgb_decode(rgb)
+    metadata = {item.name: item.value for item in spec.extra_attribs}
+    return Image(rgb, _layers(channels), metadata, encoded)
+
+
+def planes(path: str | os.PathLike[str]) -> dict[str, NDArray[np.float32]]:
+    """Every channel of an image file of a suffix in ``READABLE`` by its name, (height, width), as stored.
+
+    Raises :class:`ImageError` for a missing, foreign or damaged file.
+    """
+    return _open(Path(path))[0]
+
+
+def _open(source: Path) -> tuple[dict[str, NDArray[np.float32]], Any]:
+    """The channels of a file, and OpenImageIO's description of it."""
+    oiio = require()
     if source.suffix.lower() not in READABLE:
         raise ImageError(f"images are read from {', '.join(READABLE)} files; {str(source)!r} is none.")
     if not source.is_file():
@@ -152,13 +171,7 @@ def read(path: str | os.PathLike[str]) -> Image:
     if pixels is None:
         raise ImageError(f"{str(source)!r} is damaged: {failure}.")
     values = np.asarray(pixels, dtype=np.float32).reshape(spec.height, spec.width, -1)
-    planes = dict(zip(spec.channelnames, np.moveaxis(values, 2, 0), strict=True))
-    rgb = _main_channels(planes, source)
-    encoded = str(spec.format) not in ("float", "half", "double")
-    if encoded:
-        rgb = srgb_decode(rgb)
-    metadata = {item.name: item.value for item in spec.extra_attribs}
-    return Image(rgb, _layers(planes), metadata, encoded)
+    return dict(zip(spec.channelnames, np.moveaxis(values, 2, 0), strict=True)), spec
 
 
 def _main_channels(planes: dict[str, NDArray[np.float32]], source: Path) -> NDArray[np.float32]:

@@ -132,6 +132,52 @@ def obtain(
     a folder, made when missing; state is saved after each replicate and every ``save_seconds`` within one;
     ``progress`` is called with the finished share. Raises :class:`BadReferenceError`.
     """
+
+    def replicate(seed: int, each: int, state: Path, share: Callable[[float], None]) -> tuple[NDArray[np.float32], int]:
+        sampler = _sampler(state, radiance, width, height, each, seed)
+        saved = time.perf_counter()
+        while not sampler.done:
+            batch = sampler.ask()
+            sampler.tell(batch, radiance(batch))
+            share(min(sampler.spp / each, 1.0))
+            if time.perf_counter() - saved > save_seconds:
+                sampler.save(state)
+                saved = time.perf_counter()
+        return sampler.film.plain_mean, sampler.rejected
+
+    return replicated(
+        replicate,
+        width,
+        height,
+        spp,
+        settings,
+        cache=cache,
+        replicates=replicates,
+        noise=noise,
+        progress=progress,
+    )
+
+
+Replicate = Callable[[int, int, Path, Callable[[float], None]], tuple[NDArray[np.float32], int]]
+
+
+def replicated(
+    replicate: Replicate,
+    width: int,
+    height: int,
+    spp: int,
+    settings: Mapping[str, Any],
+    *,
+    cache: str | os.PathLike[str] | None = None,
+    replicates: int = 16,
+    noise: float | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> Reference:
+    """As :func:`obtain`, of a renderer that makes whole images.
+
+    ``replicate(seed, spp, state, share)`` gives a uniform render, (height, width, 3), and the count of its rejected
+    samples; it may keep ``state``, a file, where it is interrupted, and call ``share`` with the finished part of it.
+    """
     if replicates < 2 or spp < replicates or spp % replicates:
         raise BadReferenceError(
             f"a reference needs at least 2 replicates and samples per pixel in a multiple of them; "
@@ -152,18 +198,15 @@ def obtain(
     inner = folder / f"{name}.sampler"
     each = spp // replicates
     while (wanted := state.wanted(replicates, noise)) > state.count:
-        began = time.perf_counter()
-        sampler = _sampler(inner, radiance, width, height, each, SEED + state.count)
-        saved = time.perf_counter()
-        while not sampler.done:
-            batch = sampler.ask()
-            sampler.tell(batch, radiance(batch))
+
+        def share(part: float, done: int = state.count, of: int = wanted) -> None:
             if progress is not None:
-                progress((state.count + min(sampler.spp / each, 1.0)) / wanted)
-            if time.perf_counter() - saved > save_seconds:
-                sampler.save(inner)
-                saved = time.perf_counter()
-        state.add(sampler.film.plain_mean, sampler.rejected, time.perf_counter() - began)
+                progress((done + part) / of)
+
+        began = time.perf_counter()
+        image, rejected = replicate(SEED + state.count, each, inner, share)
+        share(1.0)
+        state.add(image, rejected, time.perf_counter() - began)
         state.save(folder / f"{name}.part.npz")
         inner.unlink(missing_ok=True)
     reference = state.reference(each * state.count, name)

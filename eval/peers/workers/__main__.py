@@ -1,0 +1,39 @@
+"""Runs a peer for :mod:`pmc_sampler.eval.peers.process`: ``python workers PACKAGE``, with any Python that has the package.
+
+Reads pickled values on standard input: a scene, then settings; writes one for each on standard output: what the peer
+is called and its version, then what it rendered, or the text of its error. Ends where its input ends.
+"""
+
+import importlib
+import os
+import pickle
+import sys
+from typing import Any
+
+
+def main(package: str) -> None:
+    """Answer until the input ends."""
+    # Renderers chatter on standard output, also from C++.
+    with os.fdopen(os.dup(1), "wb") as replies:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+        peer: Any = None
+        while True:
+            try:
+                asked = pickle.load(sys.stdin.buffer)
+            except EOFError:
+                break
+            try:
+                if peer is None:
+                    peer = importlib.import_module(f"with_{package}").Peer(asked)
+                    reply = peer.version
+                else:
+                    reply = peer.render(asked)
+            except Exception as error:  # whatever a renderer raises is for the other side to tell
+                reply = error if isinstance(error, ImportError) else RuntimeError(f"{type(error).__name__}: {error}")
+            pickle.dump(reply, replies)
+            replies.flush()
+    os._exit(0)  # without the libraries' destructors: LuxCore's abort
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])
