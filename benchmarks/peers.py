@@ -14,41 +14,294 @@ import argparse
 import json
 import platform
 import sys
-import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pmc_sampler.adapters import load, version
 from pmc_sampler.adapters.opencl.load import scene_of
-from pmc_sampler.eval import images, measures, references, statistics
+from pmc_sampler.eval import references, statistics
 from pmc_sampler.eval.metrics import WHITE_LUMINANCE
 from pmc_sampler.eval.peers import study
 from pmc_sampler.eval.peers.process import PACKAGES, Peer, PeerError, Picture
 from pmc_sampler.eval.peers.scene import describe
+from pmc_sampler.eval.references import Reference
 
 from pmc_sampler import Budget, Config, render
 from pmc_sampler.cli.arguments import size
 
-UNIFORM = "uniform"
 OURS = "opencl"
 TITLES = {"cycles": "Cycles", "luxcore": "LuxCore", OURS: "our OpenCL tracer"}
+UNIFORM: dict[str, Any] = {}
+# Of each renderer, what is compared with its uniform sampling. Cycles stops pixels one by one: `most` is the largest
+# count of a pixel as a multiple of the budget, `min_samples` the least, and the noise threshold is sought that meets
+# the budget. LuxCore's first are its defaults.
+ADAPTIVE: dict[str, tuple[dict[str, Any], ...]] = {
+    "cycles": (
+        {"most": 16, "min_samples": 4},
+        {"most": 16, "min_samples": 16},
+        {"most": 4, "min_samples": 16},
+    ),
+    "luxcore": (
+        {"strength": 0.95, "warmup": 32, "step": 32},
+        {"strength": 0.95, "warmup": 16, "step": 16},
+        {"strength": 0.95, "warmup": 8, "step": 8},
+        {"strength": 0.7, "warmup": 16, "step": 16},
+        {"strength": 0.95, "warmup": 16, "step": 16, "gamma": 2.2},
+    ),
+    OURS: ({"sampler": "PMC"},),
+}
+COLUMNS = ("renderer", "sampling", "spp", "MSE", "MSE factor", "tvi error", "tvi factor", "bias %")
+COLUMNS += ("reference's error %", "seconds")
+Rendered = Callable[[int, int, Mapping[str, Any]], Picture]  # samples a pixel, seed, settings
 
-# Cycles stops pixels one by one: the most samples of a pixel, as a multiple of the budget, and the least. The noise
-# threshold is then the one that meets the budget.
-CYCLES = (
-    {"most": 4, "min_samples": 0},
-    {"most": 16, "min_samples": 0},
-    {"most": 16, "min_samples": 16},
-    {"most": 64, "min_samples": 16},
-)
-LUXCORE = (
-    {"strength": 0.95, "warmup": 32, "step": 32},  # its defaults
-    {"strength": 0.95, "warmup": 16, "step": 16},
-    {"strength": 0.95, "warmup": 8, "step": 8},
-    {"strength": 0.8, "warmup": 8, "step": 8},
-    {"strength": 0.95, "warmup": 8, "step": 8, "gamma": 2.2},
-)
+
+def main(arguments: list[str] | None = None) -> int:
+    options = _options(arguments)
+    options.output.mkdir(parents=True, exist_ok=True)
+    description = describe(scene_of(options.scene, options.size))
+    log = Log(options.output / "peers.jsonl")
+    found: dict[str, Reference] = {}
+    try:
+        found[OURS] = _study(OURS, version("opencl"), _ours(options), options, log)
+        for name in options.peers:
+            with Peer(name, description, options.python) as peer:
+                found[name] = _study(name, peer.version, peer.render, options, log)
+    except (PeerError, ValueError) as error:
+        print(f"peers.py: {error}", file=sys.stderr)
+        return 2
+    text = page(options, log.rows, list(found))
+    (options.output / "peers.md").write_text(text, encoding="utf-8")
+    figure(options.output / "peers.png", options, log.rows, found)
+    print(text)
+    return 0
+
+
+@dataclass
+class Log:
+    """Rows of a JSON Lines file, each added as its run ends."""
+
+    path: Path
+
+    def __post_init__(self) -> None:
+        lines = self.path.read_text(encoding="utf-8").splitlines() if self.path.is_file() else []
+        self.rows: list[dict[str, Any]] = [json.loads(line) for line in lines]
+
+    def once(self, what: Mapping[str, Any], measure: Callable[[], Mapping[str, Any]]) -> dict[str, Any]:
+        """The row of the run that `what` describes in full; measured where there is none."""
+        for row in self.rows:
+            if all(row.get(key) == value for key, value in what.items()):
+                return row
+        row = {**what, **measure()}
+        with self.path.open("a", encoding="utf-8") as stream:
+            stream.write(json.dumps(row) + "\n")
+        self.rows.append(row)
+        return row
+
+
+def _ours(options: argparse.Namespace) -> Rendered:
+    radiance = load(OURS, options.scene, size=options.size)
+
+    def rendered(samples: int, seed: int, settings: Mapping[str, Any]) -> Picture:
+        config = Config() if settings else Config.uniform()
+        made = render(radiance, *options.size, Budget(spp=samples), config, seed=seed)
+        return Picture(made.film.mean, made.film.samples, made.seconds["total"])
+
+    return rendered
+
+
+def _study(name: str, release: str, rendered: Rendered, options: argparse.Namespace, log: Log) -> Reference:
+    """Do what is missing of a renderer's runs; its reference."""
+    width, height = options.size
+    own = references.identify(options.scene, name, release)
+
+    def replicate(seed: int, each: int, state: Path, share: Callable[[float], None]) -> tuple[Any, int]:
+        return rendered(each, seed, UNIFORM).rgb, 0
+
+    reference = references.replicated(
+        replicate,
+        width,
+        height,
+        options.reference_spp,
+        own,
+        replicates=options.reference_spp // options.spp,
+        progress=lambda share: _say(f"{TITLES[name]}: reference, {share:.0%}"),
+    )
+    shared = {"renderer": name, "version": release, "scene": options.scene, "reference": reference.key}
+    methods = [UNIFORM, *ADAPTIVE[name]]
+    known = {**shared, "budget": options.spp}
+    asked = [_asked(known, settings, rendered, log) for settings in methods]
+    for seed in range(1, options.seeds + 1):
+        for settings, (samples, given) in zip(methods, asked, strict=True):
+            _say(f"{TITLES[name]}: seed {seed}, {_settings(settings)}")
+            log.once(
+                {**known, "method": settings, "samples": samples, "settings": given, "seed": seed},
+                lambda: study.row(rendered(samples, seed, given), reference, WHITE_LUMINANCE),  # noqa: B023
+            )
+    return reference
+
+
+def _asked(
+    known: Mapping[str, Any], settings: Mapping[str, Any], rendered: Rendered, log: Log
+) -> tuple[int, Mapping[str, Any]]:
+    """The samples a pixel that meet the budget, and the settings to go with them."""
+    budget = known["budget"]
+    if "most" not in settings:
+        return budget, settings
+    most = settings["most"] * budget
+    given = {"min_samples": settings["min_samples"]}
+
+    def achieved(threshold: float) -> float:
+        _say(f"{TITLES[known['renderer']]}: {_settings(settings)}, looking for a threshold: {threshold:.4g}")
+        pilot = {**known, "pilot": settings, "settings": {**given, "threshold": threshold}}
+        return float(log.once(pilot, lambda: {"spp": rendered(most, study.PILOT_SEED, pilot["settings"]).spp})["spp"])
+
+    return most, {**given, "threshold": study.threshold_for(budget, achieved)}
+
+
+def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequence[str]) -> str:
+    """The Markdown page."""
+    command = (
+        f"python benchmarks/peers.py --peers {' '.join(options.peers)} --spp {options.spp} --seeds {options.seeds}"
+    )
+    releases = sorted({row["version"] for row in rows if row["renderer"] in renderers})
+    lines = [
+        "# Adaptive sampling of production renderers, beside PMC",
+        "",
+        f"`{command} -o benchmarks/`",
+        "",
+        f"`{options.scene}`, {options.size[0]}x{options.size[1]} pixels, {options.spp} samples a pixel, seeds 1 to "
+        f"{options.seeds}. {'; '.join(releases)}. {platform.system()}, Python {platform.python_version()}.",
+        "",
+        "Factors are the error of the renderer's own uniform sampling over that of its adaptive sampling, seed by",
+        "seed: median and 95 % bootstrap interval. Samples per pixel are as the renderer counted them, and differ a",
+        "little; errors count as falling in proportion to them. Each renderer is measured against a uniform reference",
+        f"of its own of {options.reference_spp} samples a pixel, of other seeds, whose noise is subtracted from the",
+        f"errors. MSE is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`, 1 is {WHITE_LUMINANCE:g} cd/m2.",
+        "Bias is of mean luminance, with its standard error over seeds; the reference's own is in the next column.",
+        "Seconds are medians, on a machine that did other things too.",
+        "",
+        f"| {' | '.join(COLUMNS)} |",
+        "|" + "---|" * len(COLUMNS),
+    ]
+    for name in renderers:
+        for settings in (UNIFORM, *ADAPTIVE[name]):
+            lines.append(_line(options, rows, name, settings))
+    return "\n".join([*lines, "", *_verdict(options, rows, renderers)]) + "\n"
+
+
+def _line(options: argparse.Namespace, rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> str:
+    own, base = (_of(options, rows, name, which) for which in (settings, UNIFORM))
+    cells = [TITLES[name], _settings(settings, own[0]["settings"])]
+    cells.append(f"{np.mean([row['spp'] for row in own]):.1f}")
+    for error in study.ERRORS:
+        cells.append(f"{np.median([row[error] for row in own]):.3g}")
+        cells.append("1" if settings == UNIFORM else _interval(study.gains(own, base, error)))
+    mean, spread = statistics.mean_error([row["bias"] for row in own])
+    cells += [f"{100 * mean:+.2f} ± {100 * spread:.2f}", f"{100 * own[0]['reference_bias']:.2f}"]
+    cells.append(f"{np.median([row['seconds'] for row in own]):.2f}")
+    return f"| {' | '.join(cells)} |"
+
+
+def _verdict(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
+    """Whether PMC gains more than each peer by the best of its settings, error by error, and at less bias."""
+    lines = []
+    (pmc,) = ADAPTIVE[OURS]
+    for name in renderers:
+        if name == OURS:
+            continue
+        base = _of(options, rows, name, UNIFORM)
+        for error, title in study.ERRORS.items():
+            groups = [(settings, _of(options, rows, name, settings)) for settings in ADAPTIVE[name]]
+            settings, own = max(groups, key=lambda group: study.gains(group[1], base, error).median)
+            ours = _of(options, rows, OURS, pmc)
+            gain = study.gains(ours, _of(options, rows, OURS, UNIFORM), error)
+            theirs = study.gains(own, base, error)
+            biases = [100 * statistics.mean_error([row["bias"] for row in group])[0] for group in (ours, own)]
+            lines.append(
+                f"* {title}: PMC's factor is {_interval(gain)}, {TITLES[name]}'s best {_interval(theirs)} "
+                f"({_settings(settings)}). Bias: {biases[0]:+.2f} % and {biases[1]:+.2f} %."
+            )
+    return ["The best setting of a peer is chosen from the same runs, to its advantage.", "", *lines]
+
+
+def _of(options: argparse.Namespace, rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> Any:
+    """A renderer's runs with these settings at the budget, of the seeds that are asked for."""
+    return [
+        row
+        for row in rows
+        if row["renderer"] == name
+        and row.get("method") == settings
+        and row["scene"] == options.scene
+        and row["budget"] == options.spp
+        and row["seed"] <= options.seeds
+    ]
+
+
+def figure(path: Path, options: argparse.Namespace, rows: Sequence[study.Row], found: Mapping[str, Reference]) -> None:
+    """Each renderer's reference, and below the factors of all settings with their intervals."""
+    import matplotlib.pyplot as plt
+    from pmc_sampler.eval.display import display
+
+    drawing, axes = plt.subplot_mosaic(
+        [list(found), ["factors"] * len(found)],
+        figsize=(3.4 * len(found), 6.4),
+        height_ratios=[1, 1.3],
+        layout="constrained",
+    )
+    for name, reference in found.items():
+        axes[name].imshow(display(reference.mean))
+        axes[name].set_title(f"{TITLES[name]}, {reference.spp} spp")
+        axes[name].set_axis_off()
+    labels = [(name, settings) for name in found for settings in ADAPTIVE[name]][::-1]
+    for error, mark, shift in (("mse", "o", 0.12), ("tvi_error", "s", -0.12)):
+        gains = [
+            study.gains(_of(options, rows, name, settings), _of(options, rows, name, UNIFORM), error)
+            for name, settings in labels
+        ]
+        middle = np.array([gain.median for gain in gains])
+        ends = np.array([[gain.median - gain.low, gain.high - gain.median] for gain in gains]).T
+        axes["factors"].errorbar(
+            middle, np.arange(len(labels)) + shift, xerr=ends, fmt=mark, capsize=3, label=study.ERRORS[error]
+        )
+    axes["factors"].set_yticks(range(len(labels)), [f"{TITLES[name]}: {_settings(one)}" for name, one in labels])
+    axes["factors"].set_xscale("log")
+    axes["factors"].axvline(1.0, color="grey", linewidth=0.8)
+    axes["factors"].set_xlabel("error of the renderer's own uniform sampling over the adaptive one's")
+    axes["factors"].legend()
+    drawing.savefig(path, dpi=100)
+    plt.close(drawing)
+
+
+def _settings(settings: Mapping[str, Any], given: Mapping[str, Any] | None = None) -> str:
+    if not settings:
+        return "uniform"
+    shown = {**settings, **{key: value for key, value in (given or {}).items() if key == "threshold"}}
+    return ", ".join(str(value) if key == "sampler" else f"{key} {value:.3g}" for key, value in shown.items())
+
+
+def _interval(value: statistics.Interval) -> str:
+    return f"{value.median:.2f} ({value.low:.2f} to {value.high:.2f})"
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _options(arguments: list[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    parser.add_argument("--peers", nargs="*", choices=PACKAGES, default=list(PACKAGES), metavar="NAME")
+    parser.add_argument("--python", default=sys.executable, help="the Python that has the peers' packages")
+    parser.add_argument("--scene", default="cornell-box", metavar="NAME", help="diffuse and glass alone")
+    parser.add_argument("--size", type=size, default=(160, 120), metavar="WxH")
+    parser.add_argument("--spp", type=int, default=64)
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--reference-spp", type=int, default=1024, help="a multiple of --spp")
+    parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
+    return parser.parse_args(arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

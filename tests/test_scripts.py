@@ -81,3 +81,27 @@ def test_the_benchmark_of_the_opencl_tracer(script: Callable[[str], ModuleType],
 
     meshes = scene_of(module.mesh_scene(tmp_path)).meshes
     assert max(len(mesh.triangles) for mesh in meshes) == 131_072
+
+
+def test_the_benchmark_of_peers(
+    script: Callable[[str], ModuleType],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without a peer it measures PMC, and nothing again; a missing peer is one sentence, and the runs stay."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    main = script("benchmarks/peers.py").main
+    words = ["-o", str(tmp_path / "out"), "--size", "32x24", "--spp", "4", "--seeds", "2", "--reference-spp", "16"]
+    assert main([*words, "--peers"]) == 0
+    page = (tmp_path / "out" / "peers.md").read_text()
+    assert "| our OpenCL tracer | PMC | 4.0 |" in page
+    assert images.read(tmp_path / "out" / "peers.png").rgb.std() > 0.0
+    rows = (tmp_path / "out" / "peers.jsonl").read_text()
+    assert rows.count("\n") == 4
+    assert main([*words, "--peers"]) == 0
+    assert (tmp_path / "out" / "peers.jsonl").read_text() == rows
+    capsys.readouterr()
+    assert main([*words, "--peers", "cycles", "--python", "no/such/python"]) == 2
+    assert "cannot be run" in capsys.readouterr().err.splitlines()[-1]
+    assert (tmp_path / "out" / "peers.jsonl").read_text() == rows

@@ -1,5 +1,6 @@
 """Peers in processes of their own: their libraries meet no others, and their Python may be another one."""
 
+import contextlib
 import pickle
 import subprocess
 import sys
@@ -62,6 +63,7 @@ class Peer:
                 stderr=subprocess.DEVNULL,
             )
         except OSError as error:
+            self._folder.cleanup()
             raise PeerError(f"{python!r} cannot be run ({error.strerror}); name a Python that can.") from error
         try:
             self.version: str = self._ask(dict(description))
@@ -69,7 +71,7 @@ class Peer:
             self.close()
             raise PeerError(
                 f"{name} needs the package {PACKAGES[name]}, which {python} cannot import ({error}): "
-                f"{python} -m pip install {PACKAGES[name]}."
+                f"{python} -m pip install numpy {PACKAGES[name]}."
             ) from error
         except PeerError:
             self.close()
@@ -90,7 +92,8 @@ class Peer:
 
     def close(self) -> None:
         """End the process."""
-        self._process.communicate()
+        with contextlib.suppress(BrokenPipeError):  # it died
+            self._process.communicate()
         self._folder.cleanup()
 
     def __enter__(self) -> "Peer":

@@ -1,7 +1,7 @@
 """Adaptive against uniform sampling of one renderer: runs, and the budget at which they meet."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from .. import measures, metrics, statistics
@@ -22,6 +22,7 @@ def row(picture: Picture, reference: Reference, white_luminance: float) -> Row:
         "spp": picture.spp,
         **measures.measure(picture.rgb, reference, white_luminance, ERRORS),
         "bias": metrics.bias(picture.rgb, reference.mean),
+        "reference_bias": reference.bias_error,
         "seconds": picture.seconds,
     }
 
@@ -75,8 +76,3 @@ def gains(rows: Sequence[Row], base: Sequence[Row], name: str) -> statistics.Int
     return statistics.ratio_interval(
         [uniform[one["seed"]] for one in common], [one[name] * one["spp"] for one in common]
     )
-
-
-def best(groups: Iterable[tuple[str, Sequence[Row]]], base: Sequence[Row], name: str) -> str:
-    """The name of the group of rows with the largest gain."""
-    return max(groups, key=lambda group: gains(group[1], base, name).median)[0]

@@ -1,7 +1,7 @@
-"""Runs a peer for :mod:`pmc_sampler.eval.peers.process`: ``python workers PACKAGE``, with any Python that has the package.
+"""Runs a peer for :mod:`pmc_sampler.eval.peers.process`: ``python workers PACKAGE``, by a Python that has it.
 
 Reads pickled values on standard input: a scene, then settings; writes one for each on standard output: what the peer
-is called and its version, then what it rendered, or the text of its error. Ends where its input ends.
+is called and its version, then what it rendered, or its error. Ends where its input ends.
 """
 
 import importlib
@@ -9,6 +9,8 @@ import os
 import pickle
 import sys
 from typing import Any
+
+COMMON = {"samples", "seed", "file"}
 
 
 def main(package: str) -> None:
@@ -20,16 +22,19 @@ def main(package: str) -> None:
         while True:
             try:
                 asked = pickle.load(sys.stdin.buffer)
-            except EOFError:
-                break
-            try:
                 if peer is None:
                     peer = importlib.import_module(f"with_{package}").Peer(asked)
                     reply = peer.version
+                elif unknown := asked.keys() - COMMON - set(peer.settings):
+                    raise ValueError(f"{', '.join(sorted(unknown))} came; settings are {', '.join(peer.settings)}")
                 else:
                     reply = peer.render(asked)
-            except Exception as error:  # whatever a renderer raises is for the other side to tell
-                reply = error if isinstance(error, ImportError) else RuntimeError(f"{type(error).__name__}: {error}")
+            except EOFError:
+                break
+            except ImportError as error:
+                reply = error
+            except Exception as error:  # whatever a renderer raises, in a class that the other side has too
+                reply = RuntimeError(f"{type(error).__name__}: {error}")
             pickle.dump(reply, replies)
             replies.flush()
     os._exit(0)  # without the libraries' destructors: LuxCore's abort

@@ -20,6 +20,7 @@ class Peer:
     """Cycles with one scene (:class:`pmc_sampler.eval.peers.scene.Description`)."""
 
     version = f"Blender {bpy.app.version_string}"
+    settings = ("threshold", "min_samples")
 
     def __init__(self, description: dict[str, Any]) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)

@@ -11,7 +11,6 @@ import numpy as np
 import pyluxcore
 from numpy.typing import NDArray
 
-
 pyluxcore.Init(lambda line: None)
 
 _POLL = 0.1  # seconds; looking merges the threads' films, which takes time from them
@@ -21,6 +20,7 @@ class Peer:
     """LuxCore with one scene (:class:`pmc_sampler.eval.peers.scene.Description`)."""
 
     version = f"LuxCore {pyluxcore.Version()}"
+    settings = ("strength", "warmup", "step", "gamma")
 
     def __init__(self, description: dict[str, Any]) -> None:
         self._description = description
