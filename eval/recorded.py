@@ -61,7 +61,7 @@ def record(
         _must_match(head, Recording(target).head, target)
         return
     partial = target.with_name(f"{target.name}.part")
-    with _written(partial), _Passes(partial, head, width * height) as passes:
+    with _Passes(partial, head, width * height) as passes:
         sampler = Sampler(width, height, Budget(spp=per_pixel), Config.uniform(batch=width * height), seed)
         for number in range(per_pixel):
             batch = sampler.ask()
@@ -73,7 +73,7 @@ def record(
             sampler.tell(batch, np.zeros((len(batch), 3), np.float32))
         with _written(target):
             _finish(target, head, passes.array(per_pixel))
-    partial.unlink()
+            partial.unlink()
 
 
 class Recording:
@@ -126,9 +126,7 @@ class Recording:
         nothing = np.zeros((self.height, self.width, 3), np.float32)
         rejected = int(np.isnan(self.samples[..., 0]).sum())
         name = key(self.head)
-        return Reference(
-            self.mean.astype(np.float32), nothing, nothing[..., 0], self.per_pixel, 1, rejected, 0.0, name
-        )
+        return Reference(self.mean.astype(np.float32), nothing, nothing[..., 0], self.per_pixel, 1, rejected, 0.0, name)
 
 
 def _head(
@@ -158,40 +156,47 @@ def _written(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise BadRecordingError(f"the recording {str(path)!r} cannot be written: {error}.") from error
+        why = error.strerror or error
+        raise BadRecordingError(f"the recording {str(path)!r} cannot be written: {why}.") from error
 
 
 class _Passes:
     """The file of an unfinished recording: its head as a line of JSON, then float32 RGB of every pixel, by passes."""
 
     def __init__(self, path: Path, head: Mapping[str, Any], pixels: int) -> None:
-        self.path, self.pixels = path, pixels
-        self._file = path.open("a+b")
+        self._path, self._pass_bytes = path, pixels * 3 * 4
         line = json.dumps(head, sort_keys=True).encode() + b"\n"
         self._start = len(line)
+        with _written(path):
+            self._file = path.open("a+b")
+        try:
+            with _written(path):
+                self._begin(line, head)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _begin(self, line: bytes, head: Mapping[str, Any]) -> None:
         if self._file.tell() == 0:
             self._file.write(line)
             self._file.flush()
         self._file.seek(0)
         found = self._file.readline(2**20)
         if found != line:
-            self._file.close()
             try:
                 then = json.loads(found)
                 known = then["format"] == FORMAT
             except (ValueError, TypeError, KeyError):
                 known = False
             if not known:
-                raise BadRecordingError(f"{str(path)!r} is no unfinished recording; give another name, or delete it.")
-            _must_match(head, then, path)
-        size = self._file.seek(0, os.SEEK_END) - self._start
-        self.count = size // self._pass_bytes
+                raise BadRecordingError(
+                    f"{str(self._path)!r} is no unfinished recording; give another name, or delete it."
+                )
+            _must_match(head, then, self._path)
+        passes = self._file.seek(0, os.SEEK_END) - self._start
+        self.count = passes // self._pass_bytes
         # An interruption in the middle of a write left part of a pass.
         self._file.truncate(self._start + self.count * self._pass_bytes)
-
-    @property
-    def _pass_bytes(self) -> int:
-        return self.pixels * 12
 
     def __enter__(self) -> "_Passes":
         return self
@@ -201,22 +206,23 @@ class _Passes:
 
     def append(self, pixel: NDArray[np.uint32], values: NDArray[np.float32], signed: bool) -> None:
         """One sample of every pixel."""
-        if values.shape != (self.pixels, 3):
+        if values.shape != (len(pixel), 3):
             raise BadRecordingError(
-                f"the renderer gave radiance of shape {values.shape}; expected ({self.pixels}, 3) or more channels."
+                f"the renderer gave radiance of shape {values.shape}; expected ({len(pixel)}, 3) or more channels."
             )
         valid = np.isfinite(values).all(axis=1) & (signed | (values >= 0.0).all(axis=1))
         image = np.empty_like(values)
         image[pixel] = np.where(valid[:, None], values, np.nan)
-        self._file.write(image.tobytes())
-        self._file.flush()
+        with _written(self._path):
+            self._file.write(image.tobytes())
+            self._file.flush()
         self.count += 1
 
     def array(self, per_pixel: int) -> NDArray[np.float32]:
         """Shape (per_pixel, pixels, 3), read as it is used."""
         os.fsync(self._file.fileno())
-        shape = (per_pixel, self.pixels, 3)
-        return np.memmap(self.path, np.float32, "r", self._start, shape)
+        shape = (per_pixel, self._pass_bytes // 12, 3)
+        return np.memmap(self._path, np.float32, "r", self._start, shape)
 
 
 def _finish(target: Path, head: Mapping[str, Any], passes: NDArray[np.float32]) -> None:

@@ -13,10 +13,21 @@ from pmc_sampler.sampler import config_for, sampler_for
 from .error_threshold import ErrorThreshold
 from .film import Film
 from .greedy import Greedy
-from .neyman import Neyman, limit_of
+from .neyman import Neyman, neyman_limit_of
 from .sampler import AllocatingSampler, Batch, Rule
 
-__all__ = ["NAMES", "AllocatingSampler", "Batch", "ErrorThreshold", "Film", "Greedy", "Neyman", "Rule", "limit_of", "make"]
+__all__ = [
+    "NAMES",
+    "AllocatingSampler",
+    "Batch",
+    "ErrorThreshold",
+    "Film",
+    "Greedy",
+    "Neyman",
+    "Rule",
+    "make",
+    "neyman_limit_of",
+]
 
 _RULES: dict[str, Callable[..., Rule]] = {
     "greedy": Greedy,

@@ -31,8 +31,8 @@ class ErrorThreshold:
     ``256 e_t`` is split across its longer side where both parts' errors are most equal.
 
     The rule stops at an error, we compare at equal samples. So the threshold begins at ``step`` times the error of the
-    whole image, and when every block has stopped it falls to ``step`` times the largest block's error and blocks over it
-    go on; the last pass is spread evenly over its blocks so that the budget is met to the sample.
+    whole image; when every block has stopped it falls to ``step`` times the largest block's error, and the blocks over
+    it go on. The last pass is spread evenly over its blocks so that the budget is met to the sample.
 
     Settings: ``step`` in (0, 1); ``smallest``, pixels on the side under which no block is split; ``passes``, samples a
     pixel between two looks at the errors, even, so that A has half of them.

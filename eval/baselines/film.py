@@ -79,8 +79,6 @@ class Film:
         return values.reshape(*self._shape, 3).astype(np.float32)
 
     @staticmethod
-    def _variance(
-        sums: NDArray[np.float64], squares: NDArray[np.float64], n: NDArray[np.int64]
-    ) -> NDArray[np.float64]:
+    def _variance(sums: NDArray[np.float64], squares: NDArray[np.float64], n: NDArray[np.int64]) -> NDArray[np.float64]:
         deviations = squares - sums**2 / np.maximum(n, 1)
         return np.maximum(deviations, 0.0) / np.maximum(n - 1, 1)

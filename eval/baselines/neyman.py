@@ -42,7 +42,7 @@ class Neyman:
         return waterfill(drawn, self._s, min(at_most, max(4096, int(drawn.sum()))))
 
 
-def limit_of(radiance: Any, white_luminance: float = 100.0) -> float:
+def neyman_limit_of(radiance: Any, white_luminance: float = 100.0) -> float:
     """Error of independent uniform sampling over the least possible, at equal samples (``neyman_limit``)."""
     mean = luminance(np.asarray(radiance.mean, np.float64))
     return neyman_limit(threshold_deviation(np.asarray(radiance.luminance_variance), mean, white_luminance))

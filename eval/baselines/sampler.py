@@ -167,9 +167,7 @@ class AllocatingSampler:
         y, x = np.divmod(pixel, np.uint32(self.width))
         corner = np.stack([x, y], axis=1).astype(np.float32)
         # In a large coordinate, a fraction near 1 rounds up to the next pixel.
-        positions = np.minimum(
-            corner + _core.sobol_points(scramble, index, 0), np.nextafter(corner + 1, np.float32(0))
-        )
+        positions = np.minimum(corner + _core.sobol_points(scramble, index, 0), np.nextafter(corner + 1, np.float32(0)))
         for array in (positions, pixel, index, scramble):
             array.flags.writeable = False
         return Batch(positions, pixel, index, scramble, self._number)

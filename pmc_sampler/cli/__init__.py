@@ -39,6 +39,8 @@ def _run(command: str) -> Callable[[argparse.Namespace], int]:
         from .compare import compare as run
     elif command == "bench":
         from .bench import bench as run
+    elif command == "record":
+        from .record import record as run
     elif command == "scenes":
         from .listing import scenes as run
     else:

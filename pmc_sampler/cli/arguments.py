@@ -37,6 +37,7 @@ def parser() -> argparse.ArgumentParser:
     _render(commands.add_parser("render", help="render a scene to an EXR and a PNG", allow_abbrev=False))
     _compare(commands.add_parser("compare", help="all metrics of one image against another", allow_abbrev=False))
     _bench(commands.add_parser("bench", help="run a suite of methods, scenes and budgets", allow_abbrev=False))
+    _record(commands.add_parser("record", help="store a renderer's samples, to replay them", allow_abbrev=False))
     for name, text in (
         ("scenes", "list the built-in scenes"),
         ("renderers", "list the renderers, and what a missing one needs"),
@@ -60,29 +61,13 @@ def parse(arguments: Sequence[str] | None = None) -> argparse.Namespace:
 
 def _render(p: argparse.ArgumentParser) -> None:
     p.usage = "%(prog)s SCENE [options] [-- RENDERER'S OWN OPTIONS]"
-    p.add_argument("scene", metavar="SCENE", help="a built-in scene's name or a scene file")
-    p.add_argument(
-        "--renderer",
-        metavar="NAME",
-        help=f"default: {DEFAULT_RENDERER}, and povray for .pov and .ini files",
-    )
+    _renderer(p)
     p.add_argument(
         "--method",
         choices=METHODS,
         default="pmc",
         help="pmc: the default sampler; pmc-paper: the paper's parameters; pt: uniform path tracing; native: the "
         "renderer's own anti-aliasing, for comparison (povray)",
-    )
-    p.add_argument(
-        "--sampler",
-        choices=("sobol", "independent"),
-        default="sobol",
-        help="the renderer's random numbers: Owen-scrambled Sobol points (default) or independent ones",
-    )
-    p.add_argument(
-        "--device",
-        metavar="NAME",
-        help="OpenCL device: part of its name, or its number in `renderers`; default: $PMC_SAMPLER_DEVICE or the best",
     )
     p.add_argument(
         "--set",
@@ -93,7 +78,6 @@ def _render(p: argparse.ArgumentParser) -> None:
         dest="settings",
         help="an option of the renderer or of its own anti-aliasing; VALUE as in TOML or a bare word; may be repeated",
     )
-    p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
     p.add_argument(
         "--spp",
         type=positive,
@@ -107,7 +91,6 @@ def _render(p: argparse.ArgumentParser) -> None:
         metavar="F",
         help="stop when at most the share F of pixels shows noise, 0 to 1",
     )
-    p.add_argument("--seed", type=seed, default=0, metavar="N", help="default: %(default)s")
     p.add_argument("--config", type=Path, metavar="FILE.toml", help="settings of the sampler that replace the method's")
     p.add_argument("-o", "--output", type=Path, metavar="OUT.exr", help="default: SCENE.exr in this folder")
     p.add_argument(
@@ -120,6 +103,45 @@ def _render(p: argparse.ArgumentParser) -> None:
         "--scheduler", metavar="ADDRESS", help="of a Dask cluster that traces the batches, as tcp://HOST:8786"
     )
     p.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _renderer(p: argparse.ArgumentParser) -> None:
+    """What is rendered, by whom and with which numbers."""
+    p.add_argument("scene", metavar="SCENE", help="a built-in scene's name or a scene file")
+    p.add_argument(
+        "--renderer",
+        metavar="NAME",
+        help=f"default: {DEFAULT_RENDERER}, and povray for .pov and .ini files",
+    )
+    p.add_argument(
+        "--sampler",
+        choices=("sobol", "independent"),
+        default="sobol",
+        help="the renderer's random numbers: Owen-scrambled Sobol points (default) or independent ones",
+    )
+    p.add_argument(
+        "--device",
+        metavar="NAME",
+        help="OpenCL device: part of its name, or its number in `renderers`; default: $PMC_SAMPLER_DEVICE or the best",
+    )
+    p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
+    p.add_argument("--seed", type=seed, default=0, metavar="N", help="default: %(default)s")
+
+
+def _record(p: argparse.ArgumentParser) -> None:
+    _renderer(p)
+    p.set_defaults(scheduler=None)
+    p.add_argument(
+        "--per-pixel", type=int, required=True, metavar="K", help="samples to store of each pixel, a power of two"
+    )
+    p.add_argument(
+        "-o",
+        "--output",
+        type=Path,
+        required=True,
+        metavar="FILE.h5",
+        help="where to; what is unfinished is in FILE.h5.part, from which the same command goes on",
+    )
 
 
 def _compare(p: argparse.ArgumentParser) -> None:

@@ -221,10 +221,6 @@ NB_MODULE(_core, m) {
     m.def("mix", [](Words scramble, Words index) { return words(scramble, index, pmc::mix); });
 
     // Pieces that tests hold against their definitions.
-    m.def("sobol_pair", [](std::uint32_t scramble, std::uint32_t index, std::uint32_t pair) {
-        const auto p = pmc::sobol_pair(scramble, index, pair);
-        return nb::make_tuple(p.x, p.y);
-    });
     m.def("reflect", &pmc::reflect);
     m.def("filter_offset", [](pmc::Filter filter, double radius, std::vector<float> u) {
         const pmc::FilterSampler sample(filter, radius);
