@@ -1,24 +1,11 @@
 """The error-threshold rule of production renderers."""
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from .film import Film
-
-
-@dataclass
-class _Block:
-    top: int
-    bottom: int
-    left: int
-    right: int
-
-    @property
-    def area(self) -> int:
-        return (self.bottom - self.top) * (self.right - self.left)
 
 
 class ErrorThreshold:
@@ -34,23 +21,24 @@ class ErrorThreshold:
     whole image; when every block has stopped it falls to ``step`` times the largest block's error, and the blocks over
     it go on. The last pass is spread evenly over its blocks so that the budget is met to the sample.
 
-    Settings: ``step`` in (0, 1); ``smallest``, pixels on the side under which no block is split; ``passes``, samples a
-    pixel between two looks at the errors, even, so that A has half of them.
+    Settings: ``step`` in (0, 1); ``smallest``, pixels on the side under which no block is split; ``growth``, samples
+    between two looks at the errors as a share of those that a pixel has, two at least and an even number, so that A has
+    half of them.
     """
 
     name = "error-threshold"
     initial_spp: float | None = None
 
-    def __init__(self, radiance: Any, *, step: float = 0.9, smallest: int = 4, passes: int = 2) -> None:
+    def __init__(self, radiance: Any, *, step: float = 0.5, smallest: int = 2, growth: float = 0.125) -> None:
         if not 0.0 < step < 1.0:
             raise ValueError(f"step is {step!r}: expected a number between 0 and 1")
-        if smallest < 1 or passes < 2 or passes % 2:
-            raise ValueError(
-                f"smallest is {smallest!r} and passes {passes!r}: expected at least 1, and an even number of at least 2"
-            )
+        if smallest < 1 or not growth >= 0.0:
+            raise ValueError(f"smallest is {smallest!r} and growth {growth!r}: expected at least 1 and at least 0")
         self._shape = (int(radiance.height), int(radiance.width))
-        self._step, self._smallest, self._passes = float(step), int(smallest), int(passes)
-        self._blocks = [_Block(0, self._shape[0], 0, self._shape[1])]
+        self._step, self._smallest, self._growth = float(step), int(smallest), float(growth)
+        # Of each block top, bottom, left and right; and of each pixel the block that it is in.
+        self._blocks = np.array([[0, self._shape[0], 0, self._shape[1]]])
+        self._owner = np.zeros(self._shape, np.int64)
         self._threshold = 0.0
 
     def allocate(self, film: Film, drawn: NDArray[np.int64], at_most: int) -> NDArray[np.float64]:
@@ -58,14 +46,12 @@ class ErrorThreshold:
         table = self._table(film)
         self._split(table)
         errors = self._errors(table)
-        if errors.max() <= self._threshold or not self._threshold:
+        if errors.max() < self._threshold or not self._threshold:
             self._threshold = self._step * float(errors.max())
-        chosen = np.zeros(self._shape)
-        for block, error in zip(self._blocks, errors, strict=True):
-            if error >= self._threshold:
-                chosen[block.top : block.bottom, block.left : block.right] = self._passes
-        total = float(chosen.sum())
-        return (chosen * (min(at_most, total) / total)).ravel()
+        going = (errors >= self._threshold)[self._owner.ravel()]
+        wanted = np.where(going, np.maximum(2.0, 2.0 * np.floor(self._growth / 2 * drawn)), 0.0)
+        total = float(wanted.sum())
+        return wanted * (min(at_most, total) / total)
 
     def _table(self, film: Film) -> NDArray[np.float64]:
         """The pixels' errors as a summed-area table (Crow 1984, doi:10.1145/800031.808600)."""
@@ -77,33 +63,37 @@ class ErrorThreshold:
         return table
 
     def _errors(self, table: NDArray[np.float64]) -> NDArray[np.float64]:
-        edges = np.array([(b.top, b.bottom, b.left, b.right) for b in self._blocks])
-        top, bottom, left, right = edges.T
+        top, bottom, left, right = self._blocks.T
         sums = table[bottom, right] - table[top, right] - table[bottom, left] + table[top, left]
         areas = (bottom - top) * (right - left)
-        errors: NDArray[np.float64] = np.maximum(sums, 0.0) / np.sqrt(areas * float(self._shape[0] * self._shape[1]))
+        errors: NDArray[np.float64] = np.maximum(sums, 0.0) / np.sqrt(areas * float(self._owner.size))
         return errors
 
     def _split(self, table: NDArray[np.float64]) -> None:
+        """Splits the blocks whose error is from ``e_t`` to under ``256 e_t``, each once."""
         errors = self._errors(table)
-        after: list[_Block] = []
-        for block, error in zip(self._blocks, errors, strict=True):
-            small = max(block.bottom - block.top, block.right - block.left) < 2 * self._smallest
-            if small or not self._threshold <= error < 256.0 * max(self._threshold, self._step * errors.max()):
-                after.append(block)
+        threshold = self._threshold or self._step * float(errors.max())
+        top, bottom, left, right = self._blocks.T
+        large = np.maximum(bottom - top, right - left) >= 2 * self._smallest
+        halves = []
+        for number in np.flatnonzero(large & (errors >= threshold) & (errors < 256.0 * threshold)):
+            y0, y1, x0, x1 = self._blocks[number]
+            tall = y1 - y0 >= x1 - x0
+            line = (
+                table[y0 : y1 + 1, x1] - table[y0 : y1 + 1, x0]
+                if tall
+                else table[y1, x0 : x1 + 1] - table[y0, x0 : x1 + 1]
+            )
+            line = line - line[0]
+            cut = self._smallest + int(
+                np.argmin(np.abs(line[self._smallest : len(line) - self._smallest] - line[-1] / 2))
+            )
+            first, second = [y0, y1, x0, x1], [y0, y1, x0, x1]
+            if tall:
+                first[1] = second[0] = y0 + cut
             else:
-                after.extend(self._halves(block, table))
-        self._blocks = after
-
-    def _halves(self, b: _Block, table: NDArray[np.float64]) -> tuple[_Block, _Block]:
-        tall = b.bottom - b.top >= b.right - b.left
-        if tall:
-            line = table[b.top : b.bottom + 1, b.right] - table[b.top : b.bottom + 1, b.left]
-        else:
-            line = table[b.bottom, b.left : b.right + 1] - table[b.top, b.left : b.right + 1]
-        line = line - line[0]
-        inner = line[self._smallest : len(line) - self._smallest]
-        cut = self._smallest + int(np.argmin(np.abs(inner - line[-1] / 2)))
-        if tall:
-            return _Block(b.top, b.top + cut, b.left, b.right), _Block(b.top + cut, b.bottom, b.left, b.right)
-        return _Block(b.top, b.bottom, b.left, b.left + cut), _Block(b.top, b.bottom, b.left + cut, b.right)
+                first[3] = second[2] = x0 + cut
+            self._blocks[number] = first
+            self._owner[second[0] : second[1], second[2] : second[3]] = len(self._blocks) + len(halves)
+            halves.append(second)
+        self._blocks = np.concatenate([self._blocks, np.array(halves, self._blocks.dtype).reshape(-1, 4)])

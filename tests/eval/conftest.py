@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -46,3 +47,12 @@ class Noisy:
 def noisy() -> type[Noisy]:
     """The class of the renderer above."""
     return Noisy
+
+
+@pytest.fixture(scope="session")
+def recording_path() -> Path:
+    """A recording of the Cornell box, 48x36 pixels and 64 samples of each, by the command
+
+    pmc-sampler record cornell-box --size 48x36 --per-pixel 64 -o tests/eval/cornell-box.h5
+    """
+    return Path(__file__).with_name("cornell-box.h5")
