@@ -46,7 +46,14 @@ def p_of(stacks: Any, p_value_of: Any) -> Callable[..., float]:
 
 @pytest.mark.parametrize(
     ("scene", "spp"),
-    [("cornell-box", 48), ("cornell-box-mirrors", 48), ("diffuse", 32), ("materials", 48), ("thin-lens", 32)],
+    [
+        ("cornell-box", 48),
+        ("cornell-box-mirrors", 48),
+        ("diffuse", 32),
+        ("materials", 48),
+        ("room", 8),
+        ("thin-lens", 32),
+    ],
 )
 def test_built_in_scenes(p_of: Any, scene: str, spp: int) -> None:
     assert p_of(scene, spp=spp) > FALSE_ALARMS

@@ -314,7 +314,7 @@ def test_materials_under_a_white_sky(parts: Any, povray: Any) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["cornell-box", "cornell-box-mirrors", "materials", "thin-lens"])
+@pytest.mark.parametrize("name", ["cornell-box", "cornell-box-mirrors", "materials", "room", "thin-lens"])
 @pytest.mark.needs("mitsuba")
 def test_built_in_scenes_are_rendered(povray: Any, name: str) -> None:
     """With photons and radiosity too: brighter than without, by what only these bring."""
