@@ -48,7 +48,6 @@ ADAPTIVE: dict[str, tuple[dict[str, Any], ...]] = {
         {"strength": 0.95, "warmup": 32, "step": 32},
         {"strength": 0.95, "warmup": 16, "step": 16},
         {"strength": 0.95, "warmup": 8, "step": 8},
-        {"strength": 0.7, "warmup": 16, "step": 16},
         {"strength": 0.95, "warmup": 16, "step": 16, "gamma": 2.2},
     ),
     OURS: ({"sampler": "PMC"},),
@@ -72,16 +71,19 @@ def main(arguments: list[str] | None = None) -> int:
     except (PeerError, ValueError) as error:
         print(f"peers.py: {error}", file=sys.stderr)
         return 2
-    text = page(options, log.rows, list(found))
+    keys = {reference.key for reference in found.values()}
+    rows = [row for row in log.rows if "seed" in row and row["reference"] in keys and row["budget"] == options.spp]
+    rows = [row for row in rows if row["seed"] <= options.seeds]
+    text = page(options, rows, list(found))
     (options.output / "peers.md").write_text(text, encoding="utf-8")
-    figure(options.output / "peers.png", options, log.rows, found)
+    figure(options.output / "peers.png", rows, found)
     print(text)
     return 0
 
 
 @dataclass
 class Log:
-    """Rows of a JSON Lines file, each added as its run ends."""
+    """Rows of a JSON Lines file, renewed as each run ends."""
 
     path: Path
 
@@ -95,9 +97,10 @@ class Log:
             if all(row.get(key) == value for key, value in what.items()):
                 return row
         row = {**what, **measure()}
-        with self.path.open("a", encoding="utf-8") as stream:
-            stream.write(json.dumps(row) + "\n")
         self.rows.append(row)
+        partial = self.path.with_name(f".{self.path.name}.part")
+        partial.write_text("".join(json.dumps(row) + "\n" for row in self.rows), encoding="utf-8")
+        partial.replace(self.path)
         return row
 
 
@@ -166,7 +169,7 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
     command = (
         f"python benchmarks/peers.py --peers {' '.join(options.peers)} --spp {options.spp} --seeds {options.seeds}"
     )
-    releases = sorted({row["version"] for row in rows if row["renderer"] in renderers})
+    releases = sorted({row["version"] for row in rows if row["renderer"] != OURS})
     lines = [
         "# Adaptive sampling of production renderers, beside PMC",
         "",
@@ -188,59 +191,49 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
     ]
     for name in renderers:
         for settings in (UNIFORM, *ADAPTIVE[name]):
-            lines.append(_line(options, rows, name, settings))
-    return "\n".join([*lines, "", *_verdict(options, rows, renderers)]) + "\n"
+            lines.append(_line(rows, name, settings))
+    return "\n".join([*lines, "", *_verdict(rows, renderers)]) + "\n"
 
 
-def _line(options: argparse.Namespace, rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> str:
-    own, base = (_of(options, rows, name, which) for which in (settings, UNIFORM))
+def _line(rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> str:
+    own, base = (_of(rows, name, which) for which in (settings, UNIFORM))
     cells = [TITLES[name], _settings(settings, own[0]["settings"])]
     cells.append(f"{np.mean([row['spp'] for row in own]):.1f}")
     for error in study.ERRORS:
         cells.append(f"{np.median([row[error] for row in own]):.3g}")
         cells.append("1" if settings == UNIFORM else _interval(study.gains(own, base, error)))
-    mean, spread = statistics.mean_error([row["bias"] for row in own])
-    cells += [f"{100 * mean:+.2f} ± {100 * spread:.2f}", f"{100 * own[0]['reference_bias']:.2f}"]
+    cells += [_bias(own), f"{100 * own[0]['reference_bias']:.2f}"]
     cells.append(f"{np.median([row['seconds'] for row in own]):.2f}")
     return f"| {' | '.join(cells)} |"
 
 
-def _verdict(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
+def _verdict(rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
     """Whether PMC gains more than each peer by the best of its settings, error by error, and at less bias."""
     lines = []
     (pmc,) = ADAPTIVE[OURS]
     for name in renderers:
         if name == OURS:
             continue
-        base = _of(options, rows, name, UNIFORM)
+        base = _of(rows, name, UNIFORM)
         for error, title in study.ERRORS.items():
-            groups = [(settings, _of(options, rows, name, settings)) for settings in ADAPTIVE[name]]
+            groups = [(settings, _of(rows, name, settings)) for settings in ADAPTIVE[name]]
             settings, own = max(groups, key=lambda group: study.gains(group[1], base, error).median)
-            ours = _of(options, rows, OURS, pmc)
-            gain = study.gains(ours, _of(options, rows, OURS, UNIFORM), error)
+            ours = _of(rows, OURS, pmc)
+            gain = study.gains(ours, _of(rows, OURS, UNIFORM), error)
             theirs = study.gains(own, base, error)
-            biases = [100 * statistics.mean_error([row["bias"] for row in group])[0] for group in (ours, own)]
             lines.append(
                 f"* {title}: PMC's factor is {_interval(gain)}, {TITLES[name]}'s best {_interval(theirs)} "
-                f"({_settings(settings)}). Bias: {biases[0]:+.2f} % and {biases[1]:+.2f} %."
+                f"({_settings(settings)}). Bias: {_bias(ours)} % and {_bias(own)} %."
             )
     return ["The best setting of a peer is chosen from the same runs, to its advantage.", "", *lines]
 
 
-def _of(options: argparse.Namespace, rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> Any:
-    """A renderer's runs with these settings at the budget, of the seeds that are asked for."""
-    return [
-        row
-        for row in rows
-        if row["renderer"] == name
-        and row.get("method") == settings
-        and row["scene"] == options.scene
-        and row["budget"] == options.spp
-        and row["seed"] <= options.seeds
-    ]
+def _of(rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> Sequence[study.Row]:
+    """A renderer's runs with these settings."""
+    return [row for row in rows if row["renderer"] == name and row["method"] == settings]
 
 
-def figure(path: Path, options: argparse.Namespace, rows: Sequence[study.Row], found: Mapping[str, Reference]) -> None:
+def figure(path: Path, rows: Sequence[study.Row], found: Mapping[str, Reference]) -> None:
     """Each renderer's reference, and below the factors of all settings with their intervals."""
     import matplotlib.pyplot as plt
     from pmc_sampler.eval.display import display
@@ -257,10 +250,7 @@ def figure(path: Path, options: argparse.Namespace, rows: Sequence[study.Row], f
         axes[name].set_axis_off()
     labels = [(name, settings) for name in found for settings in ADAPTIVE[name]][::-1]
     for error, mark, shift in (("mse", "o", 0.12), ("tvi_error", "s", -0.12)):
-        gains = [
-            study.gains(_of(options, rows, name, settings), _of(options, rows, name, UNIFORM), error)
-            for name, settings in labels
-        ]
+        gains = [study.gains(_of(rows, name, settings), _of(rows, name, UNIFORM), error) for name, settings in labels]
         middle = np.array([gain.median for gain in gains])
         ends = np.array([[gain.median - gain.low, gain.high - gain.median] for gain in gains]).T
         axes["factors"].errorbar(
@@ -282,6 +272,11 @@ def _settings(settings: Mapping[str, Any], given: Mapping[str, Any] | None = Non
     return ", ".join(str(value) if key == "sampler" else f"{key} {value:.3g}" for key, value in shown.items())
 
 
+def _bias(rows: Sequence[study.Row]) -> str:
+    mean, spread = statistics.mean_error([row["bias"] for row in rows])
+    return f"{100 * mean:+.2f} ± {100 * spread:.2f}"
+
+
 def _interval(value: statistics.Interval) -> str:
     return f"{value.median:.2f} ({value.low:.2f} to {value.high:.2f})"
 
@@ -295,7 +290,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--peers", nargs="*", choices=PACKAGES, default=list(PACKAGES), metavar="NAME")
     parser.add_argument("--python", default=sys.executable, help="the Python that has the peers' packages")
     parser.add_argument("--scene", default="cornell-box", metavar="NAME", help="diffuse and glass alone")
-    parser.add_argument("--size", type=size, default=(160, 120), metavar="WxH")
+    parser.add_argument("--size", type=size, default=(96, 72), metavar="WxH")
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--reference-spp", type=int, default=1024, help="a multiple of --spp")
