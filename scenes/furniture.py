@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import trimesh
@@ -74,7 +74,7 @@ def tube(
     middle = curve(knots, along)
     radii = curve(np.broadcast_to(np.asarray(radius, float), len(knots))[:, None], along)
     forward = np.gradient(middle, axis=0)
-    right = np.cross(forward, across)
+    right = np.cross(forward, np.asarray(across, float))
     right /= np.linalg.norm(right, axis=1, keepdims=True)
     up = np.cross(right, forward)
     up /= np.linalg.norm(up, axis=1, keepdims=True)
@@ -91,15 +91,15 @@ def placed(
     mesh: Trimesh, at: ArrayLike = (0, 0, 0), turn: float = 0.0, tilt: float = 0.0, lean: float = 0.0
 ) -> Trimesh:
     """Rolled about z by `lean`, then tilted about x, then turned about y (degrees), then moved."""
-    angles = np.radians([lean, tilt, turn])
-    matrix = transformations.euler_matrix(*angles, axes="szxy")
+    about_z, about_x, about_y = np.radians([lean, tilt, turn])
+    matrix = transformations.euler_matrix(about_z, about_x, about_y, "szxy")
     matrix[:3, 3] = at
     return mesh.copy().apply_transform(matrix)
 
 
 def joined(*meshes: Trimesh) -> Trimesh:
     """All of them in one mesh."""
-    return trimesh.util.concatenate(meshes)
+    return cast(Trimesh, trimesh.util.concatenate(meshes))
 
 
 def sofa() -> Trimesh:
@@ -124,7 +124,8 @@ def pillow() -> Trimesh:
     mesh = cushion((0.46, 0.46, 0.16), 0.45)
     x, y = mesh.vertices[:, 0] / 0.23, mesh.vertices[:, 1] / 0.23
     mesh.vertices *= np.stack([1 - 0.12 * (1 - y**2), 1 - 0.12 * (1 - x**2), np.ones_like(x)], 1)
-    return mesh.apply_translation((0, 0.23, 0))
+    mesh.apply_translation((0, 0.23, 0))
+    return mesh
 
 
 def chair() -> Trimesh:
