@@ -23,10 +23,10 @@ def waterfill(n: NDArray[np.int64], s: NDArray[np.float64], size: int) -> NDArra
 
     The least is at ``max(n, c s)`` (Neyman 1934, doi:10.2307/2342192, with what was spent already). The set of pixels
     that get none grows until no pixel has more than its share, as in projections onto a simplex (Michelot 1986,
-    doi:10.1007/BF00938486). Equal shares where all ``s`` are 0.
+    doi:10.1007/BF00938486). Where all ``s`` are 0 they count as equal.
     """
     if not s.any():
-        return np.full(len(n), size / len(n))
+        s = np.ones(len(n))
     total = float(n.sum()) + size
     below, above, held = s > 0.0, -1, 0.0
     while above != (above := int(np.count_nonzero(below))):

@@ -38,8 +38,8 @@ class Neyman:
         return cls(*known, white_luminance=white_luminance)
 
     def allocate(self, film: Film, drawn: NDArray[np.int64], at_most: int) -> NDArray[np.float64]:
-        """What brings the counts nearest to the best ones, of as many samples again as there are, 4096 at least."""
-        return waterfill(drawn, self._s, min(at_most, max(4096, int(drawn.sum()))))
+        """What brings the counts nearest to the best ones, of one sample a pixel, 4096 at least."""
+        return waterfill(drawn, self._s, min(at_most, max(4096, len(drawn))))
 
 
 def neyman_limit_of(radiance: Any, white_luminance: float = 100.0) -> float:

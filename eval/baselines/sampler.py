@@ -78,6 +78,7 @@ class AllocatingSampler:
         self._signed = signed
         self._number = 0
         self._open: Batch | None = None
+        self._done: str | None = None
         self._began: float | None = None
         self.rejected = 0
         self.film = Film(width, height)
@@ -100,11 +101,7 @@ class AllocatingSampler:
     @property
     def done(self) -> str | None:
         """The limit that ended sampling: "spp" or "seconds"; None while there is work to do."""
-        if self._total is not None and self.samples + self.rejected >= self._total:
-            return "spp"
-        if self.budget.seconds is not None and self.elapsed >= self.budget.seconds:
-            return "seconds"
-        return None
+        return self._done
 
     def ask(self) -> Batch:
         """The next batch. Raises RuntimeError where one is open, or the budget is spent."""
@@ -146,6 +143,11 @@ class AllocatingSampler:
             self.film.add(batch.pixel, batch.index, values.astype(np.float64))
         self.rejected += invalid
         self._open = None
+        # Here and nowhere else, so that time that passes between a look at `done` and `ask` is no error.
+        if self._total is not None and self.samples + self.rejected >= self._total:
+            self._done = "spp"
+        elif self.budget.seconds is not None and self.elapsed >= self.budget.seconds:
+            self._done = "seconds"
 
     def _counts(self) -> NDArray[np.int64]:
         pixels, used = len(self._drawn), int(self._drawn.sum())

@@ -14,12 +14,12 @@ from pmc_sampler.eval.baselines import sampler as ask_and_tell
 from pmc_sampler.eval.recorded import Recording
 from pmc_sampler.eval.statistics import neyman_limit, neyman_share
 
-from pmc_sampler import Budget, luminance
+from pmc_sampler import Budget, _core, luminance
 
 RULES = ("greedy", "error-threshold", "neyman")
 METHODS: tuple[dict[str, Any], ...] = (
     {"sampler": "pmc"},
-    {"sampler": "pmc", "preset": "paper"},
+    {"sampler": "pmc", "preset": "paper", "radii": [5, 10, 40]},
     {"sampler": "uniform"},
     *({"sampler": name} for name in RULES),
 )
@@ -64,9 +64,9 @@ def test_the_seed_decides_the_image(method: dict[str, Any], replay: Recording) -
 
 @pytest.mark.parametrize("name", RULES)
 def test_each_pixel_gets_its_sequence_in_order(name: str, replay: Recording) -> None:
-    """Exact: indices 0, 1, 2, ... of one scramble in every pixel, positions in the pixel, the first 16 a net."""
+    """Exact: indices 0, 1, 2, ... of one scramble in every pixel, and positions by its first pair."""
     seen: dict[str, list[np.ndarray]] = {"pixel": [], "index": [], "scramble": [], "positions": []}
-    sampler = baselines.make({"sampler": name, "initial_spp": 16}, replay, Budget(spp=24), 5)
+    sampler = baselines.make({"sampler": name}, replay, Budget(spp=24), 5)
     while not sampler.done:
         batch = sampler.ask()
         for key, values in seen.items():
@@ -78,12 +78,9 @@ def test_each_pixel_gets_its_sequence_in_order(name: str, replay: Recording) -> 
     assert np.array_equal(index[order], np.concatenate([np.arange(n) for n in counts]))
     assert np.array_equal(counts, sampler.film.samples.ravel())
     assert len(np.unique(np.stack([pixel, scramble]), axis=1).T) == 48 * 36
-    assert np.array_equal(np.floor(positions).astype(int), np.stack([pixel % 48, pixel // 48], axis=1))
-    inside = positions[order] - np.floor(positions[order])
-    first = inside[np.concatenate([[0], np.cumsum(counts)[:-1]])[:, None] + np.arange(16)]
-    for a, b in ((16, 1), (8, 2), (4, 4), (2, 8), (1, 16)):
-        cells = np.floor(first[..., 0] * a) * b + np.floor(first[..., 1] * b)
-        assert np.array_equal(np.sort(cells, axis=1), np.broadcast_to(np.arange(16), cells.shape))
+    corner = np.stack([pixel % 48, pixel // 48], axis=1)
+    assert np.array_equal(np.floor(positions).astype(int), corner)
+    assert np.array_equal(positions, corner.astype(np.float32) + _core.sobol_points(scramble, index, 0))
 
 
 @pytest.mark.parametrize("name", RULES)
@@ -120,7 +117,7 @@ def test_invalid_samples_are_counted_and_left_out(name: str, replay: Recording) 
 
     def faulty(batch: Any) -> np.ndarray:
         values = np.ones((len(batch), 3), np.float32)
-        values[batch.index % 4 == 1] = np.inf
+        values[(batch.index + batch.pixel) % 4 == 1] = np.inf
         return values
 
     sampler = run(baselines.make({"sampler": name}, replay, Budget(spp=8), 1), faulty)
@@ -245,7 +242,10 @@ def test_uniform_is_unbiased(recording_path: Path) -> None:
     replay that is 5 % darker, must be rejected."""
     replay = Recording(recording_path, "independent")
     biases = np.array(
-        [metrics.bias(run_method({"sampler": "uniform"}, replay, 64, seed).film.mean, replay.mean) for seed in range(24)]
+        [
+            metrics.bias(run_method({"sampler": "uniform"}, replay, 64, seed).film.mean, replay.mean)
+            for seed in range(24)
+        ]
     )
 
     def t(values: np.ndarray) -> float:
@@ -268,12 +268,14 @@ def test_uniform_is_unbiased(recording_path: Path) -> None:
     ids=str,
 )
 def test_what_beats_uniform_sampling(method: dict[str, Any], better: bool, numbers: str, recording_path: Path) -> None:
-    """Sign test over 12 seeds of tvi error at 16 samples a pixel: at least 11 wins (were it no better, 13 / 4096 =
-    0.3 %). The control, uniform sampling with other seeds, must not pass."""
+    """Sign test over 24 seeds of tvi error at 16 samples a pixel: at least 19 wins (were it no better, 0.33 %).
+
+    The control, uniform sampling with other seeds, must not pass.
+    """
     replay = Recording(recording_path, numbers)
 
     def error(of: dict[str, Any], seed: int) -> float:
         return metrics.tvi_error(run_method(of, replay, 16, seed).film.mean, replay.mean)
 
-    wins = sum(error(method, seed + 100) < error({"sampler": "uniform"}, seed) for seed in range(12))
-    assert (wins >= 11) == better
+    wins = sum(error(method, seed + 100) < error({"sampler": "uniform"}, seed) for seed in range(24))
+    assert (wins >= 19) == better

@@ -86,9 +86,7 @@ def test_moments_are_those_of_the_samples(recording_path: Path) -> None:
     replay = Recording(recording_path)
     samples = replay.samples.astype(np.float64)
     np.testing.assert_allclose(replay.variance.reshape(-1, 3), samples.var(axis=1), rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(
-        replay.luminance_variance.ravel(), luminance(samples).var(axis=1), rtol=1e-9, atol=1e-12
-    )
+    np.testing.assert_allclose(replay.luminance_variance.ravel(), luminance(samples).var(axis=1), rtol=1e-9, atol=1e-12)
     reference = replay.reference
     assert not reference.variance.any()
     assert np.array_equal(reference.mean, replay.mean.astype(np.float32))
@@ -216,7 +214,9 @@ def test_damaged_and_foreign_files_are_named(recording_path: Path, tmp_path: Pat
 HEAD = {"format": recorded.FORMAT, "version": 1, "width": 4, "height": 2, "per_pixel": 8, "signed": False, "seed": 0}
 
 
-def forge(path: Path, head: dict[str, Any], shape: tuple[int, ...] = (8, 8, 3), kind: str = "f2", **storage: Any) -> None:
+def forge(
+    path: Path, head: dict[str, Any], shape: tuple[int, ...] = (8, 8, 3), kind: str = "f2", **storage: Any
+) -> None:
     storage = {"chunks": (1, *shape[1:]), "compression": "gzip", "shuffle": True, "fletcher32": True, **storage}
     with h5py.File(path, "w") as file:
         file.attrs["head"] = json.dumps({"settings": {}, **head})
