@@ -42,7 +42,6 @@ ADAPTIVE: dict[str, tuple[dict[str, Any], ...]] = {
     "cycles": (
         {"most": 16, "min_samples": 4},
         {"most": 16, "min_samples": 16},
-        {"most": 4, "min_samples": 16},
     ),
     "luxcore": (
         {"strength": 0.95, "warmup": 32, "step": 32},

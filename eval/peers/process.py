@@ -87,7 +87,7 @@ class Peer:
         if "channels" in made:  # in the file
             planes = images.planes(file)
             rgb = np.stack([planes[name] for name in made["channels"]["rgb"]], axis=2)
-            return Picture(rgb, planes[made["channels"]["samples"]] * made["full_count"], made["seconds"])
+            return Picture(rgb, counts(planes[made["channels"]["samples"]], **made["count"]), made["seconds"])
         return Picture(made["rgb"], made["samples"], made["seconds"])
 
     def close(self) -> None:
@@ -116,3 +116,20 @@ class Peer:
         if isinstance(reply, Exception):
             raise PeerError(f"{self.name} failed: {reply}.") from reply
         return reply
+
+
+def counts(shares: NDArray[np.float32], most: int, step: int, first: int) -> NDArray[np.float32]:
+    """Samples of each pixel from their shares of the largest count, where a renderer says no more.
+
+    All counts are multiples of ``step``, at least ``first`` and at most ``most``: the smallest that agree with the
+    shares. They are the right ones where a pixel stopped as soon as it could, as black ones do. With ``first`` equal to
+    ``most`` sampling was uniform. Raises :class:`PeerError` where none agree.
+    """
+    if first >= most:
+        return shares * np.float32(most)
+    distinct = np.unique(shares).astype(np.float64)
+    for largest in range(step, most + 1, step):
+        steps = distinct * largest / step
+        if steps[0] * step > first - 0.5 and np.abs(steps - np.rint(steps)).max() < 1e-2:
+            return np.rint(shares * np.float64(largest)).astype(np.float32)
+    raise PeerError(f"the renderer's counts of samples fit no multiples of {step} up to {most}.")

@@ -119,6 +119,17 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
         Peer("arnold", {})  # type: ignore[typeddict-item]
 
 
+def test_counts_from_their_shares() -> None:
+    """Whatever the largest count is, where some pixel stopped as soon as it could; other steps are refused."""
+    for largest in (32, 48, 192, 1024):
+        exact = np.array([[32, 48, 112], [largest, 32, largest]], np.float32).clip(max=largest)
+        shares = (exact / np.float32(largest)).astype(np.float32)
+        np.testing.assert_array_equal(process.counts(shares, most=1024, step=16, first=32), exact)
+    np.testing.assert_array_equal(process.counts(np.ones((2, 2), np.float32), most=64, step=16, first=64), 64.0)
+    with pytest.raises(PeerError, match="fit no multiples of 16"):
+        process.counts(np.array([[0.123, 1.0]], np.float32), most=64, step=16, first=32)
+
+
 @pytest.mark.parametrize("start", [1e-4, 0.02, 5.0])
 def test_the_threshold_that_meets_a_budget(start: float) -> None:
     asked = []

@@ -14,6 +14,7 @@ import mathutils
 import numpy as np
 
 _LAYER = "layer"
+_STEP = 16  # samples between two looks at what has converged, the first when more than min_samples + 1 are done
 
 
 class Peer:
@@ -36,15 +37,19 @@ class Peer:
         """Render ``settings["samples"]`` samples a pixel with ``settings["seed"]``, 0 to 2^31 - 1, into an EXR file.
 
         With ``threshold``, Cycles' noise threshold, sampling is adaptive: ``samples`` is then the most that a pixel
-        gets, and ``min_samples`` the least before it may stop (0: Cycles chooses).
+        gets, a multiple of 16, and ``min_samples``, from 1, how many it gets before it may stop.
         """
         scene = bpy.context.scene
         scene.cycles.samples = settings["samples"]
         scene.cycles.seed = settings["seed"]
         scene.cycles.use_adaptive_sampling = "threshold" in settings
+        first = settings["samples"]
         if "threshold" in settings:
+            if settings["samples"] % _STEP or settings["min_samples"] < 1:
+                raise ValueError(f"samples must be a multiple of {_STEP} and min_samples at least 1, to tell counts by")
             scene.cycles.adaptive_threshold = settings["threshold"]
-            scene.cycles.adaptive_min_samples = settings.get("min_samples", 0)
+            scene.cycles.adaptive_min_samples = settings["min_samples"]
+            first = min(first, math.ceil((settings["min_samples"] + 2) / _STEP) * _STEP)
         scene.render.filepath = settings["file"]
         began = time.perf_counter()
         bpy.ops.render.render(write_still=True)
@@ -54,7 +59,8 @@ class Peer:
                 "rgb": [f"{_LAYER}.Combined.{channel}" for channel in "RGB"],
                 "samples": f"{_LAYER}.Debug Sample Count.X",
             },
-            "full_count": settings["samples"],  # Cycles' counts are shares of it
+            # Its counts are shares of the largest it got to, which it keeps to itself.
+            "count": {"most": settings["samples"], "step": _STEP, "first": first},
         }
 
 
