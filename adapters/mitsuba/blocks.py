@@ -12,7 +12,9 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
+import threading
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import drjit as dr
@@ -23,20 +25,44 @@ _PER_THREAD = 16  # blocks: the last ones to finish then cost a few percent at m
 _SMALLEST, _LARGEST = 256, 16384  # samples; powers of two, Dr.Jit takes no others
 
 
+@dataclass
+class _Callers:
+    """Who is inside `divided`, for the size is the process's: the first one in notes it, the last one out restores it.
+
+    While several are inside, the size is that of the latest: it is a matter of speed alone.
+    """
+
+    count: int = 0
+    before: int = 0
+    lock: threading.Lock = field(default_factory=threading.Lock)
+
+
+_callers = _Callers()
+
+
 @contextlib.contextmanager
 def divided(samples: int) -> Iterator[None]:
-    """Inside the block, kernels over so many samples keep all processors busy; afterwards all is as before."""
+    """Inside the block, kernels over so many samples keep all processors busy; after it all is as before.
+
+    Threads may be inside at the same time.
+    """
     functions = _functions()
     if functions is None:
         yield
         return
     get, put = functions
-    before = get()
-    put(block_size(samples, dr.thread_count()))
+    with _callers.lock:
+        if _callers.count == 0:
+            _callers.before = get()
+        _callers.count += 1
+        put(block_size(samples, dr.thread_count()))
     try:
         yield
     finally:
-        put(before)
+        with _callers.lock:
+            _callers.count -= 1
+            if _callers.count == 0:
+                put(_callers.before)
 
 
 def block_size(samples: int, threads: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 from typing import Any
 
 import numpy as np
@@ -36,4 +37,29 @@ def test_values_and_settings_stay(small_scene: Any, batch_of: Any, monkeypatch: 
     assert np.array_equal(r(batch), divided)
     with pytest.raises(ZeroDivisionError), blocks.divided(1 << 16):
         _ = 1 / 0
+    assert get() == before
+
+
+def test_threads_that_overlap_leave_no_trace() -> None:
+    """The one that came first goes first, while the other is still inside: that is what went wrong without a count."""
+    from pmc_sampler.adapters.mitsuba import blocks
+
+    functions = blocks._functions()
+    assert functions is not None
+    get, _ = functions
+    before = get()
+    came, gone = threading.Event(), threading.Event()
+
+    def second() -> None:
+        with blocks.divided(1 << 12):
+            came.set()
+            assert gone.wait(60)
+
+    thread = threading.Thread(target=second)
+    with blocks.divided(1 << 16):
+        thread.start()
+        assert came.wait(60)
+    assert get() != before  # the second one's still
+    gone.set()
+    thread.join()
     assert get() == before
