@@ -123,7 +123,9 @@ INLINE float3 radiance(global const float4* camera, float2 position, Sequence se
 #endif
             sum += throughput * met_light(lights, surfaces, &s, &hit, start, wi, density) * opacity;
         }
-        if (depth + 1 >= MAX_DEPTH && !ALPHA_SHADOWS) break;
+#if !ALPHA_SHADOWS
+        if (depth + 1 >= MAX_DEPTH) break;
+#endif
         const uint8 w = words(&sequence, SEGMENT_PAIRS(segment));
         const float8 r = uniform_of(w);
 #if HAS_CUT_OUT

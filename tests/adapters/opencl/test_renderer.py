@@ -181,6 +181,21 @@ def test_a_kernel_that_does_not_build(opencl: Any, monkeypatch: pytest.MonkeyPat
     assert "nonsense" in sentence
 
 
+def test_kernels_compile_without_a_warning(opencl: Any) -> None:
+    """A compiler may print "1 warning generated." past Python, on the user's terminal."""
+    import pyopencl as cl
+    from pmc_sampler.adapters.opencl import devices, program
+    from pmc_sampler.adapters.opencl.load import scene_of
+    from pmc_sampler.adapters.opencl.tables import tables
+
+    macros = tables(scene_of("materials")).macros
+    context = cl.Context([devices.choose()])
+    options = (*program.OPTIONS, "-Werror")
+    program.build(context, macros, options=options)
+    with pytest.raises(RuntimeError, match="constant"):
+        program.build(context, macros, more="int wrong(int a) { return a && 7; }", options=options)
+
+
 def test_scenes_that_do_not_fit(opencl: Any, parts: Any, camera: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from pmc_sampler.adapters.opencl import memory
 
