@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import types
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -109,7 +110,7 @@ def test_json_is_one_object_and_nothing_else(lamp: Callable[..., Any], capfd: py
     assert err == ""  # standard error is no terminal here
     assert summary["samples"] == 4 * WIDTH * HEIGHT
     assert summary["spp"] == 4.0
-    assert set(summary["seconds"]) == {"total", "renderer", "sampler"}
+    assert set(summary["seconds"]) == {"setup", "total", "renderer", "sampler"}
     assert summary["rejected"] == 0
     assert 0.0 <= summary["visible_noise"] <= 1.0
     assert summary["done"] == "spp"
@@ -121,7 +122,31 @@ def test_words_name_the_files_and_the_times(lamp: Callable[..., Any], capsys: py
     assert main(["render", "some/scene.xml", "--spp", "2"]) == 0
     out = capsys.readouterr().out
     assert "2 samples per pixel" in out
+    assert "s of setup" in out
     assert "scene.exr and scene.png are written." in out
+
+
+def test_setup_is_timed_by_itself(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A clock that goes by hand: 5 s while the scene is loaded, 3 s in each batch."""
+    from pmc_sampler.cli import render as command
+
+    now = [0.0]
+    lamp(before=lambda batch: now.__setitem__(0, now[0] + 3.0))
+    load = adapters.load
+
+    def slow(*words: Any, **options: Any) -> Any:
+        now[0] += 5.0
+        return load(*words, **options)
+
+    monkeypatch.setattr(adapters, "load", slow)
+    monkeypatch.setattr(command, "time", types.SimpleNamespace(perf_counter=lambda: now[0]))
+    assert main(["render", "here", "--spp", "2", "--json"]) == 0
+    seconds = json.loads(capsys.readouterr().out)["seconds"]
+    assert seconds["setup"] == 5.0
+    assert seconds["total"] == seconds["renderer"] > 0.0
+    assert seconds["renderer"] % 3.0 == seconds["sampler"] == 0.0
 
 
 @pytest.mark.parametrize(
@@ -536,6 +561,7 @@ def test_progress_is_drawn_on_a_terminal(
     out, err = capsys.readouterr()
     json.loads(out)
     assert "here, pmc" in err
+    assert "loading" in err
     assert "100%" in err
     monkeypatch.setitem(sys.modules, "rich.progress", None)
     assert main(["render", "here", "--spp", "3"]) == 0

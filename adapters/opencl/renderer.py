@@ -105,6 +105,7 @@ class OpenCLRenderer:
         self._buffers: tuple[Any, ...] = ()
         self._piece, self._largest = _FIRST, _LARGEST
         self.seconds = {"transfers": 0.0, "kernel": 0.0}
+        self._compile()
 
     @classmethod
     def probe(cls) -> str:
@@ -171,11 +172,7 @@ class OpenCLRenderer:
                 cl.enqueue_copy(self._queue, buffer, array, is_blocking=False)
             self._queue.finish()
             copied = time.perf_counter()
-            for place, value in enumerate((np.uint32(count), *buffers)):
-                self._kernel.set_arg(place, value)
-            cl.enqueue_nd_range_kernel(
-                self._queue, self._kernel, (-(-count // self._group) * self._group,), (self._group,)
-            )
+            self._enqueue(count, buffers, count)
             self._queue.finish()
             traced = time.perf_counter()
             cl.enqueue_copy(self._queue, out, buffers[3])
@@ -183,6 +180,30 @@ class OpenCLRenderer:
         self.seconds["kernel"] += traced - copied
         self.seconds["transfers"] += ended - began - (traced - copied)
         return traced - copied
+
+    def _compile(self) -> None:
+        """Traces no path, so that what drivers do when a kernel is first called is done before the first sample.
+
+        PoCL compiles then, for small and for large calls: both that a batch of one sample a pixel is cut into.
+        """
+        pixels = self.width * self.height
+        try:
+            with memory.guarded(self._device, 28):
+                for items in {min(pixels, _FIRST), min(pixels, _LARGEST)}:
+                    self._enqueue(0, self._room(1), items)
+                self._queue.finish()
+        except cl.Error as error:
+            raise RuntimeError(
+                f"the OpenCL device {self.device} does not start the kernel; choose another device, or report this with "
+                f"what its driver says: {error}"
+            ) from error
+
+    def _enqueue(self, count: int, buffers: tuple[Any, ...], items: int) -> None:
+        """Starts the kernel over `count` samples in so many work items, or some more."""
+        for place, value in enumerate((np.uint32(count), *buffers)):
+            self._kernel.set_arg(place, value)
+        size = -(-items // self._group) * self._group
+        cl.enqueue_nd_range_kernel(self._queue, self._kernel, (size,), (self._group,))
 
     def _room(self, count: int) -> tuple[Any, ...]:
         """Buffers for positions, scrambles, indices and radiance of `count` samples, kept for later batches."""

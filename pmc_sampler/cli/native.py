@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import time
 
 from .errors import CommandError
 from .output import Output, report
@@ -34,8 +35,10 @@ def native(options: argparse.Namespace) -> int:
     output = Output(options)
     given = dict(options.settings)
     settings = {name: given.pop(name) for name in own if name in given}
-    radiance = load_renderer(options, given)
     with progress(f"{options.scene}, {options.method}") as shown:
+        began = time.perf_counter()
+        radiance = load_renderer(options, given)
+        setup = time.perf_counter() - began
         shown(0.0, "in one go")
         try:
             made = radiance.native(**settings)
@@ -43,5 +46,5 @@ def native(options: argparse.Namespace) -> int:
             raise CommandError(" ".join(str(error).split())) from error
         except (OSError, RuntimeError) as error:
             raise CommandError(f"rendering failed: {error}.", status=1) from error
-    report(output.write_native(made, settings), options.json)
+    report(output.write_native(made, settings, setup), options.json)
     return 0

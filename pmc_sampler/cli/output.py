@@ -54,8 +54,9 @@ class Output:
         settings = {"config": sampler.config.to_dict(), "budget": vars(sampler.budget)}
         return self._save(film.mean, layers, summary, settings)
 
-    def write_native(self, made: Any, settings: Mapping[str, Any]) -> dict[str, Any]:
-        """Write what a renderer made by itself, with `settings` of its own; returns the summary."""
+    def write_native(self, made: Any, settings: Mapping[str, Any], setup: float) -> dict[str, Any]:
+        """Write what a renderer made by itself, with `settings` of its own, after `setup` seconds; returns the summary.
+        """
         height, width = made.mean.shape[:2]
         summary = {
             **self._asked(),
@@ -65,7 +66,7 @@ class Output:
             "spp": made.samples / (width * height),
             "rejected": 0,
             "visible_noise": math.nan,
-            "seconds": {"total": made.seconds, "renderer": made.seconds, "sampler": 0.0},
+            "seconds": {"setup": setup, "total": made.seconds, "renderer": made.seconds, "sampler": 0.0},
             "done": "native",
         }
         return self._save(made.mean, {}, summary, {"native": dict(settings)})
@@ -104,7 +105,8 @@ def report(summary: Mapping[str, Any], as_json: bool) -> None:
     print(
         f"{summary['scene']} at {summary['width']}x{summary['height']} by {summary['method']}: "
         f"{summary['spp']:.4g} samples per pixel in {seconds['total']:.2f} s "
-        f"(renderer {seconds['renderer']:.2f} s, sampler {seconds['sampler']:.2f} s)"
+        f"(renderer {seconds['renderer']:.2f} s, sampler {seconds['sampler']:.2f} s) "
+        f"after {seconds['setup']:.2f} s of setup"
         + (f"; visible noise in {noise:.1%} of the pixels." if math.isfinite(noise) else ".")
     )
     if summary["rejected"]:

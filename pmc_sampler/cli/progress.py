@@ -9,7 +9,7 @@ Report = Callable[[float, str], None]
 
 @contextmanager
 def progress(title: str) -> Iterator[Report]:
-    """A function ``report(fraction, note)`` that draws a bar while the context lasts."""
+    """A function ``report(fraction, note)`` that draws a bar while the context lasts; until then its note is loading."""
     if not sys.stderr.isatty():
         yield lambda fraction, note: None
         return
@@ -28,5 +28,5 @@ def progress(title: str) -> Iterator[Report]:
         bars.TextColumn("{task.fields[note]}"),
     )
     with bars.Progress(*columns, console=Console(stderr=True), transient=True) as shown:
-        task = shown.add_task(title, total=1.0, note="")
+        task = shown.add_task(title, total=1.0, note="loading")
         yield lambda fraction, note: shown.update(task, completed=fraction, note=note)

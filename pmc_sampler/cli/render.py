@@ -26,16 +26,21 @@ from .renderer import load_renderer
 
 CHECKPOINT_SECONDS = 60.0
 INTERRUPTED = 130
+NOT_YET = {"setup": 0.0, "total": 0.0, "renderer": 0.0, "sampler": 0.0}
 
 
 @dataclass
 class Job:
-    """A render under way: who traces, who samples, where the state is kept and the time that was spent."""
+    """A render under way: who traces, who samples, where the state is kept and the time that was spent.
+
+    seconds: "setup", until the first sample could be drawn; "total", from then on, and of that in the "renderer" and in
+    the "sampler".
+    """
 
     radiance: Any
     sampler: Sampler
     checkpoint: Checkpoint | None
-    seconds: dict[str, float] = field(default_factory=lambda: {"total": 0.0, "renderer": 0.0, "sampler": 0.0})
+    seconds: dict[str, float] = field(default_factory=lambda: dict(NOT_YET))
 
     def save(self) -> None:
         """Save the state, if the user wants it saved."""
@@ -54,14 +59,16 @@ def _render(options: argparse.Namespace, resources: ExitStack) -> int:
     if options.method == NATIVE:
         return native(options)
     output = Output(options)
-    with (
-        _stop_asked() as asked
-    ):  # an interrupt in the middle of a renderer's import would end in that renderer's traceback
-        job = _job(options, resources)
-    if asked():
-        raise CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
     failure: CommandError | None = None
     with progress(f"{options.scene}, {options.method}") as shown:
+        began = time.perf_counter()
+        with (
+            _stop_asked() as asked
+        ):  # an interrupt in the middle of a renderer's import would end in that renderer's traceback
+            job = _job(options, resources)
+        if asked():
+            raise CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
+        job.seconds["setup"] += time.perf_counter() - began
         try:
             finished = _run(job, shown)
         except Exception as error:  # whatever a renderer raises: what was sampled is worth keeping
@@ -115,7 +122,7 @@ def _job(options: argparse.Namespace, resources: ExitStack) -> Job:
         checkpoint.check_writable()
         resumed = checkpoint.resume()
         if resumed is not None:
-            return Job(radiance, resumed, checkpoint, dict(checkpoint.seconds))
+            return Job(radiance, resumed, checkpoint, NOT_YET | checkpoint.seconds)
     try:
         sampler = sampler_for(radiance, radiance.width, radiance.height, budget, config, options.seed)
     except (ValueError, TypeError, MemoryError) as error:

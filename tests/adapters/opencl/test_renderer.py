@@ -196,6 +196,21 @@ def test_kernels_compile_without_a_warning(opencl: Any) -> None:
         program.build(context, macros, more="int wrong(int a) { return a && 7; }", options=options)
 
 
+def test_all_is_compiled_before_the_first_sample(
+    opencl: Any, batch_of: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """PoCL finishes compiling when it first starts a kernel, once for small calls and once for large ones."""
+    started: list[tuple[int, int]] = []
+    monkeypatch.setattr(
+        opencl.OpenCLRenderer, "_enqueue", lambda self, count, buffers, items: started.append((count, items))
+    )
+    opencl.OpenCLRenderer("diffuse", size=(400, 300))
+    assert sorted(started) == [(0, 1 << 14), (0, 400 * 300)]
+    started.clear()
+    opencl.OpenCLRenderer("diffuse", size=SIZE)
+    assert started == [(0, SIZE[0] * SIZE[1])]
+
+
 def test_scenes_that_do_not_fit(opencl: Any, parts: Any, camera: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from pmc_sampler.adapters.opencl import memory
 

@@ -76,6 +76,7 @@ def test_povray_s_own_anti_aliasing(run: Any, image: Any) -> None:
     assert summary["samples"] >= 12 * 4, "threshold 0 gives each pixel depth x depth samples"
     assert summary["visible_noise"] is None
     assert summary["seconds"]["sampler"] == 0.0
+    assert summary["seconds"]["setup"] > 0.0
     np.testing.assert_array_equal(image().rgb, 0.5)
     assert json.loads(image().metadata["pmc:native"]) == {
         "antialiasing": 1,
