@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import types
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -124,6 +125,25 @@ def test_words_name_the_files_and_the_times(lamp: Callable[..., Any], capsys: py
     assert "2 samples per pixel" in out
     assert "s of setup" in out
     assert "scene.exr and scene.png are written." in out
+
+
+def test_warnings_are_one_line(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lamp()
+    load = adapters.load
+
+    def wary(*words: Any, **options: Any) -> Any:
+        warnings.warn("here: the sun\nis left out", stacklevel=2)
+        return load(*words, **options)
+
+    monkeypatch.setattr(adapters, "load", wary)
+    with warnings.catch_warnings():
+        warnings.simplefilter("default")
+        shown = warnings.showwarning
+        assert main(["render", "here", "--spp", "2"]) == 0
+        assert warnings.showwarning is shown
+    assert capsys.readouterr().err == "pmc-sampler render: warning: here: the sun is left out\n"
 
 
 def test_setup_is_timed_by_itself(

@@ -83,14 +83,10 @@ class Evaluator:
         try:
             measured: Measured = self._replayed(*self._plugins, *arguments, scramble, index)
             return measured
-        except RuntimeError as error:
+        except RuntimeError:  # what is no matter of recording is raised again without it, below
             if not first:
                 raise
-            reason = " ".join(str(error.__cause__ or error).split())
-        warnings.warn(
-            f"Dr.Jit cannot record this scene, so that each batch costs about 2 ms more ({reason})",
-            stacklevel=4,
-        )
+        warnings.warn("Dr.Jit cannot record this scene, so that each batch costs about 2 ms more", stacklevel=4)
         self.frozen = "nothing"
         return self._measure(x, y, scramble, index)
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 
 from .arguments import parse
-from .errors import CommandError
+from .errors import CommandError, plain_warnings
 
 __all__ = ["main"]
 
@@ -18,7 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     options = parse(arguments)
     try:
-        return _run(options.command)(options)
+        with plain_warnings(options.command):
+            return _run(options.command)(options)
     except CommandError as error:
         print(f"pmc-sampler {options.command}: {error}", file=sys.stderr)
         return error.status
