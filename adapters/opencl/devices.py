@@ -14,6 +14,7 @@ with warnings.catch_warnings():
 __all__ = ["VARIABLE", "choose", "devices", "label"]
 
 VARIABLE = "PMC_SAMPLER_DEVICE"
+_KINDS = {"cpu": cl.device_type.CPU, "gpu": cl.device_type.GPU, "accelerator": cl.device_type.ACCELERATOR}
 _INSTALL = (
     "install a driver for your GPU, or a device that runs on the CPU: pip install pocl-binary-distribution "
     "(or, on Debian, apt install pocl-opencl-icd)"
@@ -39,27 +40,34 @@ def devices() -> list[Any]:
 
 
 def choose(name: str | None = None) -> Any:
-    """The device meant by `name`: its place in `devices()`, or a part of what `label` says of it.
+    """The device meant by `name`: its place in `devices()`; "cpu", "gpu" or "accelerator" for the best of that kind;
+    or a part, in capitals or not, of what `label` says of this device alone.
 
-    Without a name, that in the environment variable PMC_SAMPLER_DEVICE; without that, the best.
+    Without a name, that in the environment variable PMC_SAMPLER_DEVICE; without that, or where it is empty, the best.
 
-    Raises RuntimeError if there is no device at all, ValueError if none is meant.
+    Raises RuntimeError if there is no device at all, ValueError if none is meant, or several are.
     """
     found = devices()
     if not found:
         raise RuntimeError(f"there is no OpenCL device on this machine; {_INSTALL}")
-    source = "" if name else f" (from {VARIABLE})"
-    wanted = name or os.environ.get(VARIABLE, "")
-    if not wanted:
+    if name is None and not os.environ.get(VARIABLE):
         return found[0]
+    source = "" if name is not None else f" (from {VARIABLE})"
+    wanted = os.environ[VARIABLE] if name is None else name
     if re.fullmatch(r"\d{1,9}", wanted) and int(wanted) < len(found):
         return found[int(wanted)]
-    for device in found:
-        if wanted.lower() in label(device).lower():
-            return device
-    there = "; ".join(f"{i}: {label(device)}" for i, device in enumerate(found))
+    if wanted.lower() in _KINDS:
+        meant = [device for device in found if device.type & _KINDS[wanted.lower()]][:1]
+    else:
+        meant = [device for device in found if wanted.strip() and wanted.lower() in label(device).lower()]
+    if len(meant) == 1:
+        return meant[0]
+    there = "; ".join(f"{found.index(device)}: {label(device)}" for device in meant or found)
+    if meant:
+        raise ValueError(f"{len(meant)} OpenCL devices are called {wanted!r}{source}; give the number of one of: {there}")
     raise ValueError(
-        f"no OpenCL device is called {wanted!r}{source}; give the number or a part of the name of: {there}"
+        f"no OpenCL device is called {wanted!r}{source}; give the number, the kind ({', '.join(_KINDS)}) or a part of "
+        f"the name of: {there}"
     )
 
 

@@ -50,7 +50,8 @@ class OpenCLRenderer:
     sampler
         "sobol" for Owen-scrambled Sobol points, "independent" for independent random numbers.
     device
-        The number of an OpenCL device in the list that `pmc-sampler renderers` prints, or a part of its name.
+        The number of an OpenCL device in the list that `pmc-sampler renderers` prints, its kind ("cpu", "gpu",
+        "accelerator"), or a part of its name that no other has.
         By default what the environment variable PMC_SAMPLER_DEVICE says, else the best one.
     size
         (width, height) of the film in pixels, in place of the scene's.

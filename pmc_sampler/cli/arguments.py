@@ -122,7 +122,8 @@ def _renderer(p: argparse.ArgumentParser) -> None:
     p.add_argument(
         "--device",
         metavar="NAME",
-        help="OpenCL device: part of its name, or its number in `renderers`; default: $PMC_SAMPLER_DEVICE or the best",
+        help="OpenCL device: its number in `renderers`, cpu or gpu, or part of its name; default: $PMC_SAMPLER_DEVICE "
+        "or the best",
     )
     p.add_argument("--size", type=size, metavar="WxH", help="image size in pixels; default: the scene's own")
     p.add_argument("--seed", type=seed, default=0, metavar="N", help="default: %(default)s")

@@ -141,6 +141,37 @@ def test_devices_are_chosen_by_name(opencl: Any, monkeypatch: pytest.MonkeyPatch
     assert devices.choose("0") == found[0]  # what is asked for goes before the variable
 
 
+def test_devices_are_chosen_by_kind_and_never_by_an_ambiguous_name(
+    opencl: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import types
+
+    import pyopencl as cl
+    from pmc_sampler.adapters.opencl import devices
+
+    def device(name: str, kind: int, version: str) -> Any:
+        platform = types.SimpleNamespace(name="Portable")
+        return types.SimpleNamespace(name=name, type=kind, platform=platform, driver_version=version)
+
+    gpu, twin = (device("Big GPU", cl.device_type.GPU, "1") for _ in range(2))
+    new, old = (device("pthread", cl.device_type.CPU, version) for version in ("6.1", "3.0"))
+    monkeypatch.setattr(devices, "devices", lambda: [gpu, twin, new, old])
+    monkeypatch.setenv(devices.VARIABLE, "")
+    assert devices.choose() is gpu
+    assert devices.choose("CPU") is new
+    assert devices.choose("gpu") is gpu
+    assert devices.choose("1") is twin
+    assert devices.choose("PTHREAD (Portable, 3.0)") is old
+    with pytest.raises(ValueError, match=r"2 OpenCL devices are called 'pthread'; .* 2: pthread .*; 3: pthread"):
+        devices.choose("pthread")
+    for name in ("", " ", "accelerator"):
+        with pytest.raises(ValueError, match=rf"no OpenCL device is called '{name}'; give the number, the kind \(cpu"):
+            devices.choose(name)
+    monkeypatch.setenv(devices.VARIABLE, "big")
+    with pytest.raises(ValueError, match=r"2 OpenCL devices are called 'big' \(from PMC_SAMPLER_DEVICE\)"):
+        devices.choose()
+
+
 def test_gpus_come_before_cpus_and_new_pocl_before_old(opencl: Any) -> None:
     import pyopencl as cl
     from pmc_sampler.adapters.opencl import devices
