@@ -9,7 +9,8 @@ Mitsuba's own parser and loaders do the reading, in its variant `scalar_rgb`, wh
 - emitters `area`, `point`, `directional`, `constant`, `envmap`; sensors `perspective` and `thinlens`; film `hdrfilm`
 - integrators `path`, and `pmc` around it
 
-Anything else is refused. Of several sensors the first is taken, as Mitsuba does.
+Anything else is refused, and so is what has no extent, or a size that is not finite. Of several sensors the first is
+taken, as Mitsuba does; a sphere of a negative radius is one that is turned inside out, as it is to Mitsuba.
 """
 
 from __future__ import annotations
@@ -92,6 +93,7 @@ def _checked(root: Node) -> list[Node]:
     for node in shapes:
         if node.kind not in ("sphere", *_MESHES):
             raise node.refuse(["sphere", *_MESHES])
+        _check_extent(node)
         names = _MESHES.get(node.kind, ["center", "radius", "to_world", "flip_normals"])
         if any(child.type == mi.ObjectType.Medium for child in node.children().values()):
             raise ValueError(f"{node.where} bounds a medium, which is not supported; supported are surfaces alone")
@@ -107,12 +109,27 @@ def _checked(root: Node) -> list[Node]:
     for node in root.of(mi.ObjectType.Sensor):
         if node.kind not in _SENSORS:
             raise node.refuse(_SENSORS)
+        _check_extent(node)
         node.allow(_SENSORS[node.kind], [mi.ObjectType.Film, mi.ObjectType.Sampler])
         for film in node.of(mi.ObjectType.Film):
             if film.kind != "hdrfilm":
                 raise film.refuse(["hdrfilm"])
             film.allow([*_FILM, *_STORAGE], [mi.ObjectType.ReconstructionFilter])
     return [*shapes, *emitters]
+
+
+def _check_extent(node: Node) -> None:
+    """Raises ValueError where a `to_world` or a radius leaves nothing of a plugin, or is not finite."""
+    to_world = node.get("to_world", None)
+    if to_world is not None:
+        linear = matrix(to_world)[:3, :3]
+        if not np.isfinite(linear).all():
+            raise ValueError(f"{node.where} has a to_world that is NaN or infinite in part: expected finite numbers")
+        if np.linalg.det(linear) == 0.0:
+            raise ValueError(f"{node.where} is scaled by 0 in its to_world: expected factors other than 0")
+    radius = node.get("radius", 1.0)
+    if not np.isfinite(radius) or radius == 0.0:
+        raise ValueError(f"{node.where} has the radius {radius:g}: expected a finite one other than 0")
 
 
 def _path(root: Node) -> dict[str, Any]:
@@ -228,8 +245,11 @@ def _mesh(node: Node, shape: Any, materials: Materials) -> Mesh:
         # Mitsuba tells the sides by shading normals: a mirrored mesh's winding disagrees with them
         corners = vertices[triangles].astype(np.float64)
         front = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        back = np.einsum("ti,ti->t", front, normals[triangles].sum(axis=1)) < 0.0
+        known = np.isfinite(normals).all(axis=1)
+        back = np.einsum("ti,ti->t", front, np.where(known[:, None], normals, 0.0)[triangles].sum(axis=1)) < 0.0
         triangles[back] = triangles[back][:, ::-1]
+        front[back] *= -1.0
+        normals[~known] = _mean_normals(vertices, triangles, front)[~known]
     if node.get("flip_normals", False) and node.kind != "disk":  # a disk's to_world holds it already
         triangles = triangles[:, ::-1]
         normals = None if normals is None else -normals
@@ -277,6 +297,22 @@ def _triangles(shape: Any) -> _Arrays:
     if shape.has_vertex_texcoords():
         uvs = np.array(shape.vertex_texcoords_buffer(), dtype=np.float32).reshape(-1, 2)
     return vertices, triangles, normals, uvs
+
+
+def _mean_normals(vertices: NDArray[Any], triangles: NDArray[Any], front: NDArray[np.float64]) -> NDArray[Any]:
+    """For each vertex, (v, 3), the mean normal by area of the triangles that meet at its position.
+
+    front: (t, 3), normals of the triangles, as long as twice their areas. In files without normals Mitsuba finds none
+    where a triangle has no area, such as at a sphere's poles; vertices of such triangles alone get an arbitrary one.
+    """
+    _, place = np.unique(vertices + np.float32(0.0), axis=0, return_inverse=True)  # -0 is 0
+    place = place.ravel()
+    total = np.zeros((len(vertices), 3))
+    for corner in triangles.T:
+        np.add.at(total, place[corner], front)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    unit = np.where(length > 0.0, total / np.where(length > 0.0, length, 1.0), [0.0, 0.0, 1.0])
+    return np.asarray(unit[place])
 
 
 def _disk(shape: Any) -> _Arrays:

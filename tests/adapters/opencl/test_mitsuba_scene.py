@@ -411,6 +411,10 @@ REFUSED = [
     (shape('<string name="filename" value="none.ply"/>', "ply"), "Mitsuba cannot load .*none.ply"),
     (shape('<string name="colour" value="red"/>'), "'colour', which is not supported"),
     ("<shape", "Mitsuba cannot load"),
+    (shape('<transform name="to_world"><scale value="0"/></transform>', "cube"), r"cube 'thing' at .* is scaled by 0"),
+    (shape('<transform name="to_world"><scale x="nan"/></transform>'), r"sphere 'thing' at .* NaN or infinite in part"),
+    (shape('<float name="radius" value="nan"/>'), r"sphere 'thing' at .* has the radius nan: expected a finite one"),
+    (shape('<float name="radius" value="0"/>'), "has the radius 0: expected"),
 ]  # fmt: skip
 
 
@@ -419,6 +423,42 @@ def test_refusals(part: str, message: str, files: Files) -> None:
     files.picture("t.png", 5, 7, 3)
     with pytest.raises(ValueError, match=message):
         files.read(part)
+
+
+@pytest.mark.parametrize("flip", [False, True])
+def test_normals_that_mitsuba_does_not_find(flip: bool, files: Files) -> None:
+    """A sphere of latitudes and longitudes, triangles without area at its poles, and no normals in the file."""
+    from pmc_sampler.adapters.opencl.scene import has_area
+
+    rows, columns = 8, 16
+    latitude, longitude = (np.pi / rows * np.arange(rows + 1), 2 * np.pi / columns * np.arange(columns + 1))
+    ring = np.stack([np.cos(longitude), 0 * longitude, np.sin(longitude)], axis=1)
+    points = [np.sin(a) * p + [0, np.cos(a), 0] for a in latitude for p in ring]
+    corners = [i * (columns + 1) + k + 1 for i in range(rows) for k in range(columns)]
+    below = columns + 1
+    faces = [(a, a + 1, a + below + 1) for a in corners] + [(a, a + below + 1, a + below) for a in corners]
+    lines = ["v {:f} {:f} {:f}".format(*p) for p in points] + ["f {} {} {}".format(*face) for face in faces]
+    (files.folder / "ball.obj").write_text("\n".join(lines))
+    inside = '<string name="filename" value="ball.obj"/>' + ('<boolean name="flip_normals" value="true"/>' * flip)
+    with files.loaded(shape(inside, "obj")) as scene:
+        assert not np.isfinite(np.array(scene.shapes()[0].vertex_normals_buffer())).all()
+    (mesh,) = files.read(shape(inside, "obj")).meshes
+    seen = np.unique(mesh.triangles[has_area(mesh)])
+    along = (mesh.normals * mesh.vertices)[seen].sum(axis=1) * (-1 if flip else 1)
+    assert (along > 0.9).all()
+    assert (along[mesh.vertices[seen, 1] == -1.0] > 1 - 1e-5).all()  # the pole where Mitsuba finds none
+    (files.folder / "ball.obj").write_text("\n".join(lines).replace("1.000000", "nan", 1))
+    with pytest.raises(ValueError, match="invalid vertex position"):
+        files.read(shape(inside, "obj"))
+
+
+def test_negative_radius_and_no_up_are_mitsuba_s(files: Files) -> None:
+    """A sphere of a negative radius is inside out, and a view without an up gets one."""
+    look = '<transform name="to_world"><lookat origin="0,2,6" target="0,0,0" up="0,0,0"/></transform>'
+    scene = files.read(shape('<float name="radius" value="-2"/>'), camera=sensor(look))
+    (ball,) = scene.spheres
+    assert (ball.radius, ball.flipped) == (2.0, True)
+    np.testing.assert_allclose(scene.camera.axes @ scene.camera.axes.T, np.eye(3), atol=1e-6)
 
 
 def test_other_refusals(files: Files, tmp_path: Path) -> None:
