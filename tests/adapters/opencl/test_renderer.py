@@ -289,13 +289,16 @@ def test_positions_alone_are_no_batch(renderer: Any) -> None:
 
 def test_programs_come_from_the_cache(tmp_path: Path) -> None:
     """A second process builds nothing: PoCL's cache has not a file more."""
+    from pmc_sampler.adapters.opencl import devices
+
     text = "from pmc_sampler.adapters.opencl import OpenCLRenderer as R; import numpy as np\n" + (
         "class B: positions=np.ones((4,2),np.float32); scramble=index=np.zeros(4,np.uint32)\n"
         "r = R('diffuse', size=(16, 12)); r(B); print(r.device)"
     )
+    pocl = next(str(i) for i, device in enumerate(devices.devices()) if "Portable" in devices.label(device))
     counts = []
     for _ in range(2):
-        environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path), "PMC_SAMPLER_DEVICE": "Portable"}
+        environment = {**os.environ, "POCL_CACHE_DIR": str(tmp_path), "PMC_SAMPLER_DEVICE": pocl}
         subprocess.run([sys.executable, "-c", text], check=True, env=environment)
         counts.append(len(list(tmp_path.rglob("*.so"))))
     assert counts[0] == counts[1] > 0
