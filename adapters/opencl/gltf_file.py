@@ -282,7 +282,12 @@ def _parsed(text: str) -> dict[str, Any]:
     try:
         parsed = json.loads(text)
     except (json.JSONDecodeError, RecursionError) as error:
-        raise ValueError(f"it is no JSON ({error}): expected a glTF 2.0 file") from error
+        start = text.strip()[:20]
+        if not start:
+            raise ValueError("it is empty: expected a glTF 2.0 file; get the whole of it") from error
+        if start[0] != "{":
+            raise ValueError(f"it starts with {start!r} and is no JSON, nor glTF: expected a glTF 2.0 file") from error
+        raise ValueError(f"it is no JSON ({error}): expected a glTF 2.0 file; export it anew") from error
     asset = parsed.get("asset") if isinstance(parsed, dict) else None
     if not isinstance(parsed, dict) or not isinstance(asset, dict):
         raise ValueError("it is JSON, but no glTF: expected an object with an 'asset'")

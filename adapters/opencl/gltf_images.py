@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import struct
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -19,6 +20,8 @@ from .scene import Floats
 __all__ = ["pixels"]
 
 _LARGEST = 16384  # texels a side, what graphics hardware takes
+_HEAD = 24  # bytes, of which a PNG's last eight are its width and height
+_PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 
 
 def pixels(document: Document, index: Any, srgb: bool) -> Floats:
@@ -40,10 +43,7 @@ def pixels(document: Document, index: Any, srgb: bool) -> Floats:
             raise ValueError(f"{label} cannot be decoded ({_line(OpenImageIO.geterror())}); export it anew")
         with contextlib.closing(source):
             spec = source.spec()
-            if max(spec.width, spec.height) > _LARGEST:
-                raise ValueError(
-                    f"{label} has {spec.width}x{spec.height} texels: expected {_LARGEST} a side at most; scale it down"
-                )
+            _check_size(spec.width, spec.height, label)
             stored = source.read_image(0, 0, 0, spec.nchannels, OpenImageIO.UNKNOWN)
             if stored is None:
                 raise ValueError(f"{label} cannot be decoded ({_line(source.geterror())}); export it anew")
@@ -57,26 +57,41 @@ def _file(document: Document, image: Any, label: str) -> Iterator[tuple[Path, st
         path = document.beside(image.uri, label)
         label = f"{label} in {image.uri!r}"
         with path.open("rb") as stream:
-            _suffix(stream.read(16), label)
+            head = stream.read(_HEAD)
+            stream.seek(max(path.stat().st_size - len(_PNG_END), 0))
+            _checked_suffix(head, stream.read(), label)
         yield path, label
         return
     data = document.content(image.bufferView, label) if image.uri is None else document.read(image.uri, label)
-    suffix = _suffix(data, label)
+    suffix = _checked_suffix(data[:_HEAD], data[-len(_PNG_END) :], label)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"image{suffix}"
         path.write_bytes(data)
         yield path, label
 
 
-def _suffix(data: bytes, label: str) -> str:
-    """By the first bytes: `mimeType` may be missing, or wrong, and OpenImageIO reads much that is no glTF's."""
-    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+def _checked_suffix(head: bytes, end: bytes, label: str) -> str:
+    """By the first bytes: `mimeType` may be missing, or wrong, and OpenImageIO reads much that is no glTF's.
+
+    What libpng would complain of past Python, on the terminal, is looked for here: a file that is cut short, and sizes
+    that no file of its length could fill.
+    """
+    if head.startswith(b"\x89PNG\r\n\x1a\n"):
+        if len(head) == _HEAD:
+            _check_size(*struct.unpack(">II", head[16:24]), label)  # of IHDR, the first chunk (PNG, section 11.2.1)
+        if end != _PNG_END:
+            raise ValueError(f"{label} cannot be decoded (the PNG is truncated: it lacks its last chunk); export it anew")
         return ".png"
-    if data.startswith(b"\xff\xd8\xff"):
+    if head.startswith(b"\xff\xd8\xff"):
         return ".jpg"
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
         return ".webp"
-    raise ValueError(f"{label} starts with {data[:8]!r}: expected a PNG, JPEG or WebP image")
+    raise ValueError(f"{label} starts with {head[:8]!r}: expected a PNG, JPEG or WebP image")
+
+
+def _check_size(width: int, height: int, label: str) -> None:
+    if max(width, height) > _LARGEST:
+        raise ValueError(f"{label} has {width}x{height} texels: expected {_LARGEST} a side at most; scale it down")
 
 
 def _texels(stored: NDArray[Any], srgb: bool, label: str) -> Floats:
@@ -94,4 +109,7 @@ def _texels(stored: NDArray[Any], srgb: bool, label: str) -> Floats:
 
 
 def _line(text: str) -> str:
-    return "; ".join(text.split("\n")) or "no reason given"
+    """Each line but those that another one holds."""
+    lines = list(dict.fromkeys(line.strip() for line in text.split("\n")))
+    kept = [line for line in lines if not any(line in other for other in lines if other != line)]
+    return "; ".join(kept) or "no reason given"
