@@ -13,6 +13,8 @@ __all__ = ["KINDS", "WRAPS", "check"]
 
 KINDS = ("diffuse", "dielectric", "roughdielectric", "conductor", "roughconductor", "plastic", "metallic-roughness")
 _SMOOTHEST = 1e-4  # alpha: below it the density overflows
+# Radii and coordinates in world units; a thousand times less or more, and products of them leave single precision.
+SMALLEST, LARGEST = 1e-12, 1e12
 WRAPS = ("repeat", "mirror", "clamp")
 
 
@@ -38,7 +40,7 @@ def check(scene: Scene) -> None:
         if mesh.uvs is None and (mesh.radiance_texture is not None or _textured(scene.materials[mesh.material])):
             raise ValueError(f"{mesh.name} has a texture and no texture coordinates")
     for sphere in scene.spheres:
-        _finite(np.array([*sphere.center, sphere.radius]), sphere.name)
+        _check_reach(_finite(np.array([*sphere.center, sphere.radius]), sphere.name), sphere.name)
         if not sphere.radius > 0.0:
             raise ValueError(f"{sphere.name} has the radius {sphere.radius:g}: expected one above 0")
         _index(sphere.material, len(scene.materials), f"the material of {sphere.name}")
@@ -132,6 +134,7 @@ def _check_mesh(mesh: Mesh, materials: int, textures: int) -> None:
             f"{mesh.name} names the vertices {int(mesh.triangles.min())} to {int(mesh.triangles.max())} and has {count}"
         )
     _finite(mesh.vertices, f"the vertices of {mesh.name}")
+    _check_reach(mesh.vertices, mesh.name)
     for key, width in (("normals", 3), ("uvs", 2), ("colors", 4)):
         values = getattr(mesh, key)
         if values is not None:
@@ -142,6 +145,15 @@ def _check_mesh(mesh: Mesh, materials: int, textures: int) -> None:
     _radiance(mesh.radiance, mesh.name)
     if mesh.radiance_texture is not None:
         _index(mesh.radiance_texture, textures, f"the radiance texture of {mesh.name}")
+
+
+def _check_reach(lengths: Any, name: str) -> None:
+    farthest = float(np.abs(lengths).max(initial=0.0))
+    if farthest > LARGEST:
+        raise ValueError(
+            f"{name} has coordinates up to {farthest:.3g}: expected {LARGEST:g} at most, for single precision; scale "
+            "the scene, or move it to the origin"
+        )
 
 
 def _textured(material: Material) -> bool:

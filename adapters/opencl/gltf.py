@@ -15,7 +15,7 @@ What is supported:
 
 Photometric units are taken as radiometric ones: a candela as 1 W/sr, a lux as 1 W/m^2, a nit as 1 W/(sr m^2).
 
-A file without a camera is seen whole, from the front, the right and above. One without light is lit by an environment
+A file without a camera is seen whole, with a margin, from the front, the right and above. One without light is lit by an environment
 of radiance 0.5 and a directional light of irradiance 2 from the upper left of the camera.
 
 What else a file has is refused where it says that it cannot be read without, and left out with a warning otherwise.
@@ -31,16 +31,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inputs import check_size
+from .checks import LARGEST, SMALLEST
 from .gltf_file import Document
 from .gltf_materials import Materials
 from .gltf_meshes import Meshes
 from .gltf_nodes import Placed, placed_nodes
 from .gltf_values import extension, numbers, pick, title
-from .scene import RGB, Camera, DirectionalLight, Environment, Mesh, PointLight, Scene
+from .scene import RGB, Camera, DirectionalLight, Environment, Mesh, PointLight, Scene, has_area
 
 __all__ = ["read"]
 
 _HEIGHT, _ASPECT = 480, 4.0 / 3.0
+_WIDEST = math.pi - 1e-3  # the largest vertical field of view: half a turn sees nothing of a size
+_MARGIN = 1.05  # how much farther away than touching the frame
 _FRAMED = math.radians(45.0)  # vertical field of view of the camera that a file lacks
 _FROM = np.array([0.5, 0.4, 1.0])  # where it is, from what it looks at: the front of a glTF faces +z (section 3.4)
 _KEY = np.array([0.5, 0.7, 0.5])  # the way of the light that a file lacks: right, down and along the view
@@ -78,6 +81,8 @@ def _scene(document: Document, size: tuple[int, int] | None) -> Scene:
     found.finish()
     if not found.meshes:
         raise ValueError("it has no triangles in its scene: expected a node with a mesh of them")
+    if not any(has_area(mesh).any() for mesh in found.meshes):
+        raise ValueError("none of the triangles in its scene has an area: expected some that can be seen")
     camera = _camera(document, nodes, found.meshes, size)
     lights, environment = _lights(document, nodes), None
     if not lights and not found.lit:
@@ -116,7 +121,13 @@ def _camera(document: Document, nodes: list[Placed], meshes: list[Mesh], size: t
     center = (lower + upper) / 2.0
     radius = math.sqrt(max(float(_farthest(mesh, center)) for mesh in meshes))
     towards = _FROM / np.linalg.norm(_FROM)
-    origin = center + towards * radius / math.sin(narrow)
+    if not max(1e-7 * np.abs(center).max(), SMALLEST) < radius < LARGEST:
+        raise ValueError(
+            f"its scene has the radius {radius:.3g} about a centre {np.linalg.norm(center):.3g} from the origin: expected "
+            f"a radius of {SMALLEST:g} to {LARGEST:g}, and of 1e-7 of that distance or more, for single precision; "
+            "scale it, or move it to the origin"
+        )
+    origin = center + towards * _MARGIN * radius / math.sin(narrow)
     return _pinhole(width, height, origin, -towards, np.array([0.0, 1.0, 0.0]), tangent)
 
 
@@ -126,7 +137,7 @@ def _farthest(mesh: Mesh, center: NDArray[np.float64]) -> Any:
 
 
 def _perspective(perspective: Any, label: str, placed: Placed, size: tuple[int, int] | None) -> Camera:
-    (yfov,) = numbers(perspective.yfov, 1, f"the yfov of {label}", 0.0, math.pi)
+    (yfov,) = numbers(perspective.yfov, 1, f"the yfov of {label}", 0.0, _WIDEST)
     (near,) = numbers(perspective.znear, 1, f"the znear of {label}", 0.0)
     far = math.inf
     if perspective.zfar is not None:
@@ -136,8 +147,16 @@ def _perspective(perspective: Any, label: str, placed: Placed, size: tuple[int, 
         (aspect,) = numbers(perspective.aspectRatio, 1, f"the aspectRatio of {label}", 1e-6, 1e6)
     width, height = size or (max(1, round(_HEIGHT * aspect)), _HEIGHT)
     matrix = placed.matrix  # scale is not the camera's (section 3.10.1): only directions count
+    if not np.linalg.norm(np.cross(matrix[:3, 2], matrix[:3, 1])) > 0.0:
+        raise _scaled_away(label, placed)
     camera = _pinhole(width, height, matrix[:3, 3], -matrix[:3, 2], matrix[:3, 1], math.tan(yfov / 2.0), near, far)
     return camera
+
+
+def _scaled_away(label: str, placed: Placed) -> ValueError:
+    return ValueError(
+        f"{label} has no direction: {placed.name}, or one above it, is scaled by 0; expected scales other than 0"
+    )
 
 
 def _pinhole(
@@ -185,6 +204,8 @@ def _lights(document: Document, nodes: list[Placed]) -> Lights:
         power: RGB = (red, green, blue)
         kind = light.get("type")
         x, y, z = (float(v) for v in (placed.matrix[:3, 3] if kind == "point" else -placed.matrix[:3, 2]))
+        if kind == "directional" and (x, y, z) == (0.0, 0.0, 0.0):
+            raise _scaled_away(label, placed)
         if kind == "point":
             found.append(PointLight((x, y, z), power))
         elif kind == "directional":

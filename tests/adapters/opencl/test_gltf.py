@@ -204,6 +204,8 @@ def test_unknown_chunks_are_skipped(file: File) -> None:
 
 BROKEN = {
     "no JSON": ("scene.gltf", b"{", "no JSON"),
+    "words": ("scene.gltf", b"hello", "it starts with 'hello' and is no JSON, nor glTF: expected a glTF 2.0 file"),
+    "blank": ("scene.gltf", b" \n", "it is empty: expected a glTF 2.0 file"),
     "no text": ("scene.gltf", b"\xff\xfe{}", "no JSON in UTF-8"),
     "nested": ("scene.gltf", b"[" * 100000, "no JSON"),
     "a list": ("scene.gltf", b"[]", "no glTF"),
@@ -397,6 +399,25 @@ def test_bad_indices(file: File, refuses: Callable[..., None]) -> None:
 def test_nan(file: File, refuses: Callable[..., None]) -> None:
     file.mesh(file.primitive(POSITION=[[0, 0, math.nan], *QUAD[1:]]))
     refuses("the vertices of primitive 0 of mesh 0", "NaN or infinite")
+
+
+def test_nothing_to_see(file: File, refuses: Callable[..., None]) -> None:
+    """Files that would give a blank picture."""
+    file.mesh(file.primitive(POSITION=[[x, 0, 0] for x in range(4)]))
+    refuses("none of the triangles in its scene has an area")
+    for corners, words in [
+        (np.multiply(QUAD, 1e-30), "radius 1.12e-30"),
+        (np.multiply(QUAD, 1e20), "radius 1.12e+20"),
+        (moved(2e7, 0, 0), "centre 2e+07 from the origin"),
+    ]:
+        file.json, file.data = {"asset": file.json["asset"]}, b""
+        file.mesh(file.primitive(POSITION=corners))
+        refuses(words, "scale it, or move it to the origin")
+    file.json, file.data = {"asset": file.json["asset"]}, b""
+    file.mesh(file.primitive(POSITION=np.multiply(QUAD, 1e20)))
+    file.add("cameras", {"type": "perspective", "perspective": {"yfov": 1.0, "znear": 0.1}})
+    file.add("nodes", {"camera": 0})
+    refuses("primitive 0 of mesh 0 in node 0 has coordinates up to 2e+20: expected 1e+12 at most")
 
 
 # Primitives
@@ -806,18 +827,22 @@ def test_texture_transforms(file: File) -> None:
     assert (one.radiance_texture, two.radiance_texture) == (1, None)
 
 
-def test_bad_images(file: File, refuses: Callable[..., None]) -> None:
+def test_bad_images(file: File, refuses: Callable[..., None], capfd: pytest.CaptureFixture[str]) -> None:
     file.picture(None, uri="none.png")
     file.textured({"normalTexture": {"index": 0}})
     refuses("image 0", "none.png", error=FileNotFoundError)
     (file.folder / "none.png").write_bytes(b"GIF89a")
     refuses("image 0 in 'none.png'", "expected a PNG, JPEG or WebP")
     (file.folder / "none.png").write_bytes(b"\x89PNG\r\n\x1a\n")
-    refuses("image 0 in 'none.png'", "cannot be decoded")
+    refuses("image 0 in 'none.png'", "the PNG is truncated")
     rng = np.random.default_rng(1)
     file.image(rng.integers(0, 255, (64, 64, 3), np.uint8), "whole.png")
     (file.folder / "none.png").write_bytes((file.folder / "whole.png").read_bytes()[:-4000])
+    refuses("image 0 in 'none.png'", "the PNG is truncated")
+    file.image(rng.integers(0, 255, (64, 64, 3), np.uint8), "whole.jpg")
+    (file.folder / "none.png").write_bytes((file.folder / "whole.jpg").read_bytes()[:300])
     refuses("image 0 in 'none.png'", "cannot be decoded")
+    assert capfd.readouterr() == ("", "")
     file.json["images"][0]["uri"] = "https://example.org/a.png"
     refuses("image 0", "expected a data: URI or a file")
     file.json["images"][0] = {"bufferView": 77}
@@ -828,17 +853,18 @@ def test_bad_images(file: File, refuses: Callable[..., None]) -> None:
     refuses("texture 0, has no image")
 
 
-def test_huge_images_are_not_decoded(file: File, refuses: Callable[..., None]) -> None:
+@pytest.mark.parametrize("side", [16385, 60000])
+def test_huge_images_are_not_decoded(side: int, file: File, refuses: Callable[..., None]) -> None:
     name = file.image(np.zeros((1, 1, 3), np.uint8), "huge.png")
     data = bytearray((file.folder / name).read_bytes())
-    data[16:24] = struct.pack(">II", 16385, 16385)
+    data[16:24] = struct.pack(">II", side, side)
     import zlib
 
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     (file.folder / name).write_bytes(data)
     file.picture(None, uri=name)
     file.textured({"normalTexture": {"index": 0}})
-    refuses("image 0 in 'huge.png' has 16385x16385 texels", "16384 a side")
+    refuses(f"image 0 in 'huge.png' has {side}x{side} texels", "16384 a side")
 
 
 # Cameras and light
@@ -881,11 +907,18 @@ def test_bad_cameras(file: File, refuses: Callable[..., None]) -> None:
     refuses("camera 0", "yfov")
     for change, words in [
         ({"yfov": 4.0}, ["yfov"]),
+        ({"yfov": math.pi}, ["the yfov of camera 0", "from 0 to 3.14059"]),
         ({"znear": None}, ["znear"]),
         ({"aspectRatio": 0}, ["aspectRatio"]),
     ]:
         file.json["cameras"][0]["perspective"] = {"yfov": 1.0, "znear": 0.1, **change}
         refuses(*words)
+    file.json["cameras"][0]["perspective"] = {"yfov": 1.0, "znear": 0.1}
+    file.json["nodes"][1]["scale"] = [0, 0, 0]
+    refuses("camera 0 has no direction: node 1, or one above it, is scaled by 0")
+    file.lit({"type": "directional"}, scale=[0, 0, 0])
+    file.json["nodes"][1] = {}
+    refuses("light 0 has no direction: node 2, or one above it, is scaled by 0")
     file.json["nodes"][1]["camera"] = 5
     refuses("the camera of node 1 is number 5")
 
@@ -897,13 +930,13 @@ def test_default_camera_sees_all(size: Any, file: File) -> None:
     file.mesh(file.primitive(None, POSITION=points))
     camera = file.read(size=size).camera
     assert (camera.width, camera.height) == (size or (640, 480))
-    # The sphere around all points about their box's centre touches the frame's nearer edges.
+    # The sphere around all points about their box's centre is within the frame's nearer edges, by a twentieth.
     center = (points.min(axis=0) + points.max(axis=0)) / 2
     radius = np.linalg.norm(points - center, axis=1).max()
     local = camera.axes.astype(float) @ (center - camera.origin)
     np.testing.assert_allclose(local[:2], 0, atol=1e-4)
     narrow = math.atan(min(camera.window[1::2]))
-    assert local[2] * math.sin(narrow) == pytest.approx(radius, rel=1e-5)
+    assert local[2] * math.sin(narrow) == pytest.approx(1.05 * radius, rel=1e-5)
     assert camera.window[3] == pytest.approx(math.tan(math.radians(22.5)))
     away = -camera.axes[2]
     assert (away > 0.1).all()  # from the right, above and the front
