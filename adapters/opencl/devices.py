@@ -64,7 +64,9 @@ def choose(name: str | None = None) -> Any:
         return meant[0]
     there = "; ".join(f"{found.index(device)}: {label(device)}" for device in meant or found)
     if meant:
-        raise ValueError(f"{len(meant)} OpenCL devices are called {wanted!r}{source}; give the number of one of: {there}")
+        raise ValueError(
+            f"{len(meant)} OpenCL devices are called {wanted!r}{source}; give the number of one of: {there}"
+        )
     raise ValueError(
         f"no OpenCL device is called {wanted!r}{source}; give the number, the kind ({', '.join(_KINDS)}) or a part of "
         f"the name of: {there}"

@@ -15,8 +15,8 @@ What is supported:
 
 Photometric units are taken as radiometric ones: a candela as 1 W/sr, a lux as 1 W/m^2, a nit as 1 W/(sr m^2).
 
-A file without a camera is seen whole, with a margin, from the front, the right and above. One without light is lit by an environment
-of radiance 0.5 and a directional light of irradiance 2 from the upper left of the camera.
+A file without a camera is seen whole, with a margin, from the front, the right and above. One without light is lit by
+an environment of radiance 0.5 and a directional light of irradiance 2 from the upper left of the camera.
 
 What else a file has is refused where it says that it cannot be read without, and left out with a warning otherwise.
 """
@@ -123,8 +123,8 @@ def _camera(document: Document, nodes: list[Placed], meshes: list[Mesh], size: t
     towards = _FROM / np.linalg.norm(_FROM)
     if not max(1e-7 * np.abs(center).max(), SMALLEST) < radius < LARGEST:
         raise ValueError(
-            f"its scene has the radius {radius:.3g} about a centre {np.linalg.norm(center):.3g} from the origin: expected "
-            f"a radius of {SMALLEST:g} to {LARGEST:g}, and of 1e-7 of that distance or more, for single precision; "
+            f"its scene has the radius {radius:.3g} about a centre {np.linalg.norm(center):.3g} from the origin: "
+            f"expected a radius of {SMALLEST:g} to {LARGEST:g}, and of 1e-7 of that distance or more, for single precision; "
             "scale it, or move it to the origin"
         )
     origin = center + towards * _MARGIN * radius / math.sin(narrow)

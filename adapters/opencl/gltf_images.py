@@ -20,7 +20,7 @@ from .scene import Floats
 __all__ = ["pixels"]
 
 _LARGEST = 16384  # texels a side, what graphics hardware takes
-_HEAD = 24  # bytes, of which a PNG's last eight are its width and height
+_PNG_SIZE = struct.Struct(">16xII")  # width and height in IHDR, the first chunk (PNG specification, section 11.2.1)
 _PNG_END = b"\0\0\0\0IEND\xaeB`\x82"
 
 
@@ -56,37 +56,36 @@ def _file(document: Document, image: Any, label: str) -> Iterator[tuple[Path, st
     if image.uri is not None and not str(image.uri).startswith("data:"):
         path = document.beside(image.uri, label)
         label = f"{label} in {image.uri!r}"
-        with path.open("rb") as stream:
-            head = stream.read(_HEAD)
-            stream.seek(max(path.stat().st_size - len(_PNG_END), 0))
-            _checked_suffix(head, stream.read(), label)
+        _checked_suffix(path.read_bytes(), label)
         yield path, label
         return
     data = document.content(image.bufferView, label) if image.uri is None else document.read(image.uri, label)
-    suffix = _checked_suffix(data[:_HEAD], data[-len(_PNG_END) :], label)
+    suffix = _checked_suffix(data, label)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f"image{suffix}"
         path.write_bytes(data)
         yield path, label
 
 
-def _checked_suffix(head: bytes, end: bytes, label: str) -> str:
+def _checked_suffix(data: bytes, label: str) -> str:
     """By the first bytes: `mimeType` may be missing, or wrong, and OpenImageIO reads much that is no glTF's.
 
     What libpng would complain of past Python, on the terminal, is looked for here: a file that is cut short, and sizes
     that no file of its length could fill.
     """
-    if head.startswith(b"\x89PNG\r\n\x1a\n"):
-        if len(head) == _HEAD:
-            _check_size(*struct.unpack(">II", head[16:24]), label)  # of IHDR, the first chunk (PNG, section 11.2.1)
-        if end != _PNG_END:
-            raise ValueError(f"{label} cannot be decoded (the PNG is truncated: it lacks its last chunk); export it anew")
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        if len(data) >= _PNG_SIZE.size:
+            _check_size(*_PNG_SIZE.unpack_from(data), label)
+        if data.rfind(_PNG_END) < 0:
+            raise ValueError(
+                f"{label} cannot be decoded (the PNG is truncated: it lacks its last chunk); export it anew"
+            )
         return ".png"
-    if head.startswith(b"\xff\xd8\xff"):
+    if data.startswith(b"\xff\xd8\xff"):
         return ".jpg"
-    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
         return ".webp"
-    raise ValueError(f"{label} starts with {head[:8]!r}: expected a PNG, JPEG or WebP image")
+    raise ValueError(f"{label} starts with {data[:8]!r}: expected a PNG, JPEG or WebP image")
 
 
 def _check_size(width: int, height: int, label: str) -> None:

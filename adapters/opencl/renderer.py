@@ -195,8 +195,8 @@ class OpenCLRenderer:
                 self._queue.finish()
         except cl.Error as error:
             raise RuntimeError(
-                f"the OpenCL device {self.device} does not start the kernel; choose another device, or report this with "
-                f"what its driver says: {error}"
+                f"the OpenCL device {self.device} does not start the kernel; choose another device, or report this "
+                f"with what its driver says: {error}"
             ) from error
 
     def _enqueue(self, count: int, buffers: tuple[Any, ...], items: int) -> None:

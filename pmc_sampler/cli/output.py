@@ -55,7 +55,9 @@ class Output:
         return self._save(film.mean, layers, summary, settings)
 
     def write_native(self, made: Any, settings: Mapping[str, Any], setup: float) -> dict[str, Any]:
-        """Write what a renderer made by itself, with `settings` of its own, after `setup` seconds; returns the summary.
+        """Write what a renderer made by itself, with `settings` of its own; returns the summary.
+
+        setup: seconds until it began.
         """
         height, width = made.mean.shape[:2]
         summary = {

@@ -9,7 +9,7 @@ Report = Callable[[float, str], None]
 
 @contextmanager
 def progress(title: str) -> Iterator[Report]:
-    """A function ``report(fraction, note)`` that draws a bar while the context lasts; until then its note is loading."""
+    """A function ``report(fraction, note)`` that draws a bar while the context lasts; at first its note is loading."""
     if not sys.stderr.isatty():
         yield lambda fraction, note: None
         return

@@ -227,9 +227,7 @@ def test_kernels_compile_without_a_warning(opencl: Any) -> None:
         program.build(context, macros, more="int wrong(int a) { return a && 7; }", options=options)
 
 
-def test_all_is_compiled_before_the_first_sample(
-    opencl: Any, batch_of: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_all_is_compiled_before_the_first_sample(opencl: Any, batch_of: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """PoCL finishes compiling when it first starts a kernel, once for small calls and once for large ones."""
     started: list[tuple[int, int]] = []
     monkeypatch.setattr(
