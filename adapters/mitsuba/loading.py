@@ -7,6 +7,8 @@ import contextlib
 import inspect
 import os
 import re
+import threading
+import warnings
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -24,12 +26,14 @@ __all__ = [
     "integrator_of",
     "is_scene",
     "load_scene",
+    "log_as_warnings",
     "resize",
     "scene_file",
     "sensor_of",
     "takes_mode",
 ]
 
+_logging = threading.RLock()
 _FILTERS = {"BoxFilter": "box", "TentFilter": "tent", "GaussianFilter": "gaussian"}
 
 
@@ -65,7 +69,7 @@ def load_scene(scene: Any, variant: str, size: tuple[int, int] | None = None) ->
     guarded(what, mi.parser.transform_all, config, parsed)
     if size is not None:
         resize(parsed, size)
-    with files_beside(scene):
+    with files_beside(scene), log_as_warnings():
         return guarded(what, mi.parser.instantiate, config, parsed)
 
 
@@ -184,6 +188,37 @@ def files_beside(scene: Any) -> Iterator[None]:
         yield
     finally:
         mi.set_file_resolver(before)
+
+
+@contextlib.contextmanager
+def log_as_warnings() -> Iterator[None]:
+    """Gives what Mitsuba logs inside the block as warnings (UserWarning) at its end.
+
+    Its own appender writes to standard output, which is for results. The log is the process's: one thread at a time.
+    """
+    said: list[str] = []
+
+    class Kept(mi.Appender):  # type: ignore[misc]
+        def append(self, level: Any, text: str) -> None:
+            """Called by Mitsuba."""
+            said.append(re.sub(r"^.*? (WARN|ERROR)\s+(\[\w+\] )?", "", " ".join(text.split())))
+
+        def log_progress(self, *report: Any) -> None:
+            """Called by Mitsuba, and of no use here."""
+
+    with _logging:
+        logger = mi.logger()
+        before = [logger.appender(i) for i in range(logger.appender_count())]
+        logger.clear_appenders()
+        logger.add_appender(Kept())
+        try:
+            yield
+        finally:
+            logger.clear_appenders()
+            for appender in before:
+                logger.add_appender(appender)
+    for text in said:
+        warnings.warn(f"Mitsuba: {text}", stacklevel=4)
 
 
 def resize(parsed: Any, size: tuple[int, int]) -> None:

@@ -124,8 +124,8 @@ def _camera(document: Document, nodes: list[Placed], meshes: list[Mesh], size: t
     if not max(1e-7 * np.abs(center).max(), SMALLEST) < radius < LARGEST:
         raise ValueError(
             f"its scene has the radius {radius:.3g} about a centre {np.linalg.norm(center):.3g} from the origin: "
-            f"expected a radius of {SMALLEST:g} to {LARGEST:g}, and of 1e-7 of that distance or more, for single precision; "
-            "scale it, or move it to the origin"
+            f"expected a radius of {SMALLEST:g} to {LARGEST:g}, and of 1e-7 of that distance or more, for single "
+            "precision; scale it, or move it to the origin"
         )
     origin = center + towards * _MARGIN * radius / math.sin(narrow)
     return _pinhole(width, height, origin, -towards, np.array([0.0, 1.0, 0.0]), tangent)

@@ -83,7 +83,8 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
         for key, child in root.children().items():
             if child.type == mi.ObjectType.Integrator:  # it may be one that this variant lacks
                 del made.nodes[root.index].props[key]
-        loaded = loading.guarded(str(file), mi.parser.instantiate, config, made)
+        with loading.log_as_warnings():
+            loaded = loading.guarded(str(file), mi.parser.instantiate, config, made)
         return _scene(loaded, {f"node {node.index}": node for node in nodes}, path)
 
 
