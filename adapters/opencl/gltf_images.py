@@ -75,7 +75,8 @@ def _checked_suffix(data: bytes, label: str) -> str:
     """
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         if len(data) >= _PNG_SIZE.size:
-            _check_size(*_PNG_SIZE.unpack_from(data), label)
+            width, height = _PNG_SIZE.unpack_from(data)
+            _check_size(width, height, label)
         if data.rfind(_PNG_END) < 0:
             raise ValueError(
                 f"{label} cannot be decoded (the PNG is truncated: it lacks its last chunk); export it anew"

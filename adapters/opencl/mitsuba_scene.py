@@ -247,7 +247,8 @@ def _mesh(node: Node, shape: Any, materials: Materials) -> Mesh:
         corners = vertices[triangles].astype(np.float64)
         front = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         known = np.isfinite(normals).all(axis=1)
-        back = np.einsum("ti,ti->t", front, np.where(known[:, None], normals, 0.0)[triangles].sum(axis=1)) < 0.0
+        around: NDArray[Any] = np.where(known[:, None], normals, 0.0)
+        back = np.einsum("ti,ti->t", front, around[triangles].sum(axis=1)) < 0.0
         triangles[back] = triangles[back][:, ::-1]
         front[back] *= -1.0
         normals[~known] = _mean_normals(vertices, triangles, front)[~known]
