@@ -47,6 +47,7 @@ ADAPTIVE: dict[str, tuple[dict[str, Any], ...]] = {
         {"strength": 0.95, "warmup": 32, "step": 32},
         {"strength": 0.95, "warmup": 16, "step": 16},
         {"strength": 0.95, "warmup": 8, "step": 8},
+        {"strength": 0.95, "warmup": 4, "step": 4},
         {"strength": 0.95, "warmup": 16, "step": 16, "gamma": 2.2},
     ),
     OURS: ({"sampler": "PMC"},),
@@ -181,7 +182,7 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
         "seed: median and 95 % bootstrap interval. Samples per pixel are as the renderer counted them, and differ a",
         "little; errors count as falling in proportion to them. Each renderer is measured against a uniform reference",
         f"of its own of {options.reference_spp} samples a pixel, of other seeds, whose noise is subtracted from the",
-        f"errors. MSE is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`, 1 is {WHITE_LUMINANCE:g} cd/m2.",
+        f"errors. MSE is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`, white is {WHITE_LUMINANCE:g} cd/m2.",
         "Bias is of mean luminance, with its standard error over seeds; the reference's own is in the next column.",
         "Seconds are medians, on a machine that did other things too.",
         "",
@@ -221,7 +222,7 @@ def _verdict(rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
             gain = study.gains(ours, _of(rows, OURS, UNIFORM), error)
             theirs = study.gains(own, base, error)
             lines.append(
-                f"* {title}: PMC's factor is {_interval(gain)}, {TITLES[name]}'s best {_interval(theirs)} "
+                f"* {title}: PMC's factor is {_interval(gain)}, the best of {TITLES[name]} {_interval(theirs)} "
                 f"({_settings(settings)}). Bias: {_bias(ours)} % and {_bias(own)} %."
             )
     return ["The best setting of a peer is chosen from the same runs, to its advantage.", "", *lines]
@@ -245,7 +246,7 @@ def figure(path: Path, rows: Sequence[study.Row], found: Mapping[str, Reference]
     )
     for name, reference in found.items():
         axes[name].imshow(display(reference.mean))
-        axes[name].set_title(f"{TITLES[name]}, {reference.spp} spp")
+        axes[name].set_title(f"{TITLES[name]}, {reference.spp} spp", fontsize="small")
         axes[name].set_axis_off()
     labels = [(name, settings) for name in found for settings in ADAPTIVE[name]][::-1]
     for error, mark, shift in (("mse", "o", 0.12), ("tvi_error", "s", -0.12)):
@@ -257,6 +258,8 @@ def figure(path: Path, rows: Sequence[study.Row], found: Mapping[str, Reference]
         )
     axes["factors"].set_yticks(range(len(labels)), [f"{TITLES[name]}: {_settings(one)}" for name, one in labels])
     axes["factors"].set_xscale("log")
+    axes["factors"].set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+    axes["factors"].minorticks_off()
     axes["factors"].axvline(1.0, color="grey", linewidth=0.8)
     axes["factors"].set_xlabel("error of the renderer's own uniform sampling over the adaptive one's")
     axes["factors"].legend()
