@@ -118,7 +118,10 @@ class Recording:
         """The radiance of each sample of ``batch``, shape (n, 3) float32; NaN where an invalid one is drawn."""
         draw = _core.shuffled_index if self.sampler == "sobol" else _core.mix
         which = draw(batch.scramble, batch.index) & np.uint32(self.per_pixel - 1)
-        return self._flat[batch.pixel.astype(np.int64) * self.per_pixel + which].astype(np.float32)
+        drawn: NDArray[np.float32] = self._flat[batch.pixel.astype(np.int64) * self.per_pixel + which].astype(
+            np.float32
+        )
+        return drawn
 
     @property
     def reference(self) -> Reference:
@@ -210,9 +213,11 @@ class _Passes:
             raise BadRecordingError(
                 f"the renderer gave radiance of shape {values.shape}; expected ({len(pixel)}, 3) or more channels."
             )
-        valid = np.isfinite(values).all(axis=1) & (signed | (values >= 0.0).all(axis=1))
+        valid = np.isfinite(values).all(axis=1)
+        if not signed:
+            valid = valid & (values >= 0.0).all(axis=1)
         image = np.empty_like(values)
-        image[pixel] = np.where(valid[:, None], values, np.nan)
+        image[pixel] = np.where(np.expand_dims(valid, 1), values, np.nan)
         with _written(self._path):
             self._file.write(image.tobytes())
             self._file.flush()
@@ -301,7 +306,7 @@ def _moments(samples: NDArray[np.float64]) -> NDArray[np.float64]:
     """Mean and variance of R, G, B and luminance over the valid ones of samples (pixels, K, 3): (2, pixels, 4)."""
     valid = np.isfinite(samples[..., 0])
     count = np.maximum(valid.sum(axis=1), 1)[:, None]
-    values = np.concatenate([samples, luminance(samples)[..., None]], axis=2)
+    values = np.concatenate([samples, np.asarray(luminance(samples))[..., None]], axis=2)
     values[~valid] = 0.0
     mean = values.sum(axis=1) / count
     values -= mean[:, None]

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pmc_sampler.eval import images
+from pmc_sampler.eval import images, recorded
 
 import pmc_sampler
 from pmc_sampler import Budget, Config, adapters, render
@@ -768,3 +768,53 @@ def test_the_film_s_filter_is_the_image_s(lamp: Callable[..., Any], tmp_path: Pa
     assert main(["render", "here", "--spp", "2", "--config", "c.toml", "-o", "b.exr"]) == 0
     config = json.loads(metadata("b.exr")["config"])
     assert (config["filter"], config["filter_radius"]) == ("box", None)
+
+
+# --- Recording -------------------------------------------------------------------------------------------------------
+RECORD = ["record", "cornell-box", "--size", "12x10", "--per-pixel", "8", "-o", "a.h5"]
+
+
+def test_record_stores_samples_and_says_what_it_cost(lamp: Callable[..., Any], capsys: Any) -> None:
+    asked = lamp()
+    assert main([*RECORD, "--seed", "3"]) == 0
+    assert asked == [{"renderer": "opencl", "scene": "cornell-box", "sampler": "sobol", "size": (12, 10)}]
+    out = capsys.readouterr().out
+    assert "cornell-box at 12x10, 8 samples a pixel: 960 samples in" in out
+    assert "a.h5 holds" in out
+    replay = recorded.Recording("a.h5")
+    assert (replay.width, replay.height, replay.per_pixel, replay.settings["scene"]) == (12, 10, 8, "cornell-box")
+    before = Path("a.h5").read_bytes()
+    assert main([*RECORD, "--seed", "3"]) == 0
+    assert "0 samples in" in capsys.readouterr().out
+    assert main(RECORD) == 2
+    assert "is another recording, whose seed is 3 and not 0" in capsys.readouterr().err
+    assert Path("a.h5").read_bytes() == before
+
+
+def test_record_resumes_after_an_interruption_or_a_failure(lamp: Callable[..., Any], capsys: Any) -> None:
+    lamp()
+    assert main(RECORD) == 0
+    whole = Path("a.h5").read_bytes()
+    Path("a.h5").unlink()
+
+    def interrupt(call: int) -> None:
+        if call == 2:
+            raise KeyboardInterrupt
+
+    def fail(call: int) -> None:
+        if call == 3:
+            raise RuntimeError("the lamp\nis out.")
+
+    lamp(before=interrupt)
+    capsys.readouterr()
+    assert main(RECORD) == 130
+    assert capsys.readouterr().err == "pmc-sampler record: interrupted; the same command goes on from a.h5.part.\n"
+    lamp(before=fail)
+    assert main(RECORD) == 1
+    assert "recording failed: the lamp is out; the same command goes on from a.h5.part." in capsys.readouterr().err
+    lamp()
+    assert main(RECORD) == 0
+    assert "360 samples in" in (out := capsys.readouterr().out)
+    assert "5 a pixel were there before" in out
+    assert Path("a.h5").read_bytes() == whole
+    assert [path.name for path in Path().iterdir()] == ["a.h5"]

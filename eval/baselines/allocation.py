@@ -44,6 +44,8 @@ def whole(shares: NDArray[np.float64], size: int, offset: float) -> NDArray[np.i
     """
     edges = np.cumsum(shares)
     edges *= size / edges[-1]
-    counts = np.diff(np.minimum(np.floor(edges + offset), size).astype(np.int64), prepend=0)
-    counts[-1] += size - counts.sum()
+    steps = np.minimum(np.floor(edges + offset), size).astype(np.int64)
+    steps[-1] = size
+    counts = steps.copy()
+    counts[1:] -= steps[:-1]
     return counts

@@ -75,7 +75,7 @@ class ErrorThreshold:
         threshold = self._threshold or self._step * float(errors.max())
         top, bottom, left, right = self._blocks.T
         large = np.maximum(bottom - top, right - left) >= 2 * self._smallest
-        halves = []
+        halves: list[list[int]] = []
         for number in np.flatnonzero(large & (errors >= threshold) & (errors < 256.0 * threshold)):
             y0, y1, x0, x1 = self._blocks[number]
             tall = y1 - y0 >= x1 - x0

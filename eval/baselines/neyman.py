@@ -19,12 +19,12 @@ class Neyman:
     """
 
     name = "neyman"
-    initial_spp = 1.0
+    initial_spp: float | None = 1.0
 
     def __init__(self, mean: ArrayLike, luminance_variance: ArrayLike, white_luminance: float = 100.0) -> None:
         rgb = np.asarray(mean, np.float64)
         variance = np.asarray(luminance_variance, np.float64)
-        self._s = threshold_deviation(variance, luminance(rgb), white_luminance).ravel()
+        self._s = threshold_deviation(variance, np.asarray(luminance(rgb), np.float64), white_luminance).ravel()
 
     @classmethod
     def for_radiance(cls, radiance: Any, white_luminance: float = 100.0) -> "Neyman":
@@ -44,5 +44,5 @@ class Neyman:
 
 def neyman_limit_of(radiance: Any, white_luminance: float = 100.0) -> float:
     """Error of independent uniform sampling over the least possible, at equal samples (``neyman_limit``)."""
-    mean = luminance(np.asarray(radiance.mean, np.float64))
+    mean = np.asarray(luminance(np.asarray(radiance.mean, np.float64)), np.float64)
     return neyman_limit(threshold_deviation(np.asarray(radiance.luminance_variance), mean, white_luminance))
