@@ -31,7 +31,7 @@ from pmc_sampler.adapters.povray import PovRayRenderer, program
 
 from pmc_sampler import Budget, Config, Sampler
 
-LAMPS = 14  # along each side of the heavy scene's area light
+LAMPS = 20  # along each side of the heavy scene's area light
 WIDTH = 400  # pixels of the image; its height follows from the positions, one in each pixel
 TRIVIAL = """#version 3.7;
 global_settings { assumed_gamma 1 }
