@@ -246,7 +246,7 @@ def _mesh(node: Node, shape: Any, materials: Materials) -> Mesh:
         # Mitsuba tells the sides by shading normals: a mirrored mesh's winding disagrees with them
         corners = vertices[triangles].astype(np.float64)
         front = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        known = np.isfinite(normals).all(axis=1)
+        known: NDArray[np.bool_] = np.asarray(np.isfinite(normals).all(axis=1))
         around: NDArray[Any] = np.where(known[:, None], normals, 0.0)
         back = np.einsum("ti,ti->t", front, around[triangles].sum(axis=1)) < 0.0
         triangles[back] = triangles[back][:, ::-1]
