@@ -161,12 +161,13 @@ def table(figures: dict[str, Any]) -> str:
 
 
 def _sentence(heavy: dict[str, Any]) -> str:
+    rounds = heavy["overhead_by_round"]
     return (
         f"Rays that POV-Ray traces in {heavy['traced_microseconds']:.1f} us each take "
         f"{heavy['our_microseconds']:.1f} us in all by batches of {heavy['positions']} in {heavy['processes']} "
-        f"processes, in processor time: an overhead of {heavy['overhead_median']:.1%} (rounds from {min(heavy['overhead_by_round']):.1%} to "
-        f"{max(heavy['overhead_by_round']):.1%}). With the scene's own camera, line by line, POV-Ray takes "
-        f"{heavy['native_microseconds']:.1f} us a pixel in all."
+        f"processes, in processor time: an overhead of {heavy['overhead_median']:.1%} "
+        f"(rounds from {min(rounds):.1%} to {max(rounds):.1%}). With the scene's own camera, line by line, "
+        f"POV-Ray takes {heavy['native_microseconds']:.1f} us a pixel in all."
     )
 
 
