@@ -42,6 +42,8 @@ def _run(command: str) -> Callable[[argparse.Namespace], int]:
         from .bench import bench as run
     elif command == "record":
         from .record import record as run
+    elif command == "report":
+        from .report import report as run
     elif command == "scenes":
         from .listing import scenes as run
     else:

@@ -38,6 +38,8 @@ def parser() -> argparse.ArgumentParser:
     _compare(commands.add_parser("compare", help="all metrics of one image against another", allow_abbrev=False))
     _bench(commands.add_parser("bench", help="run a suite of methods, scenes and budgets", allow_abbrev=False))
     _record(commands.add_parser("record", help="store a renderer's samples, to replay them", allow_abbrev=False))
+    report = commands.add_parser("report", help="a folder of results as one HTML file", allow_abbrev=False)
+    report.add_argument("results", type=Path, metavar="DIR", help="folder that bench wrote; report.html goes into it")
     for name, text in (
         ("scenes", "list the built-in scenes"),
         ("renderers", "list the renderers, and what a missing one needs"),

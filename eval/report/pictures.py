@@ -1,0 +1,93 @@
+"""The report's pictures: PNG data URIs, and linear radiance in eight bits for the flip-book."""
+
+import base64
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .. import measures, metrics
+from ..display import display
+
+DARK = 0.01
+"""Radiance at which :func:`encode` turns from linear to logarithmic."""
+
+Pixels = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A rectangle of an image in pixels: left, top, width, height; ``why`` it was chosen."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+    why: str
+
+    def of(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The crop of an image (height, width, ...)."""
+        return image[self.top : self.top + self.height, self.left : self.left + self.width]
+
+
+def encode(rgb: Pixels, peak: float) -> str:
+    """Linear RGB (height, width, 3) as a PNG of ``255 log(1 + x / DARK) / log(1 + peak / DARK)``, clipped to [0, peak].
+
+    Steps are 3 % of a bright value where ``peak`` is 20: enough to be shown at any exposure, not to be measured.
+    """
+    x = np.clip(np.nan_to_num(rgb), 0.0, peak)
+    return png(np.log1p(x / DARK) / np.log1p(peak / DARK))
+
+
+def shown(rgb: Pixels) -> str:
+    """Linear RGB (height, width, 3), tone-mapped, as a PNG."""
+    return png(display(rgb))
+
+
+def error_map(values: Pixels, reach: float) -> str:
+    """Values (height, width) from 0 (dark) to ``reach`` (bright) in a colour map of even steps, as a PNG."""
+    from matplotlib import colormaps
+
+    return png(colormaps["viridis"](np.sqrt(np.clip(values / reach, 0.0, 1.0)))[..., :3])
+
+
+def png(values: NDArray[np.floating]) -> str:
+    """Values in [0, 1], (height, width, 3), as the data URI of an 8-bit PNG."""
+    from PIL import Image
+
+    pixels = (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "PNG", optimize=False)
+    return "data:image/png;base64," + base64.b64encode(out.getvalue()).decode("ascii")
+
+
+def choose_crops(images: Mapping[str, Pixels], baseline: str, reference: Pixels, white_luminance: float) -> list[Crop]:
+    """Where the baseline's tvi error is greatest, and where the methods' differ most; one place if they agree.
+
+    ``images`` are (height, width, 3) by method. The baseline is any method where it has no image.
+    """
+    height, width = reference.shape[:2]
+    side = max(min(max(min(height, width) // 3, 2 * measures.TILE), height, width), 1)
+    errors = {
+        name: measures.tile_means(metrics.tvi_error_map(image, reference, white_luminance=white_luminance))
+        for name, image in images.items()
+    }
+    base = errors.get(baseline, next(iter(errors.values())))
+    stack = np.sqrt(np.stack(list(errors.values())))
+    wanted = [(base, "the baseline's tvi error is greatest"), (np.ptp(stack, axis=0), "the methods differ most")]
+    crops: list[Crop] = []
+    for values, why in wanted:
+        free = values.copy()
+        for crop in crops:
+            rows, columns = ((np.arange(n) + 0.5) * measures.TILE for n in free.shape)
+            near = (abs(rows - crop.top - side / 2) < side)[:, None] & (abs(columns - crop.left - side / 2) < side)
+            free[near] = 0.0
+        if not free.max() > 0.0:
+            continue
+        row, column = np.unravel_index(int(free.argmax()), free.shape)
+        left = int(np.clip((column + 0.5) * measures.TILE - side / 2, 0, width - side))
+        top = int(np.clip((row + 0.5) * measures.TILE - side / 2, 0, height - side))
+        crops.append(Crop(left, top, side, side, why if not crops else f"{why}, apart from the first"))
+    return crops
