@@ -80,8 +80,8 @@ def _about(scene: Scene, rows: list[dict[str, Any]]) -> str:
         return "No run is done."
     row = rows[0]
     return (
-        f"{row['width']}x{row['height']} pixels, {row['renderer']}, reference of {row['reference.spp']} samples per pixel. "
-        f"Subtracted for the reference's own noise: MSE {row['reference.mse']:.3g}, tvi error "
+        f"{row['width']}x{row['height']} pixels, {row['renderer']}, reference of {row['reference.spp']} samples "
+        f"per pixel. Subtracted for the reference's own noise: MSE {row['reference.mse']:.3g}, tvi error "
         f"{row['reference.tvi_error']:.3g}. Standard error of the reference's mean luminance: "
         f"{100 * row['reference.bias']:.3f} %."
     )

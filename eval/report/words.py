@@ -147,7 +147,8 @@ def _comparison(found: Results, scene: Scene, budget: Budget, metric: str) -> st
     if few:
         return f"{start}; the error of {base} is {ratio.median:.2f} times as large with the one seed there is."
     sure = "" if ratio.low > 1.0 else ", an interval that holds 1: no difference is shown"
-    return f"{start}; the error of {base} is {ratio.median:.2f} times as large ({ratio.low:.2f} to {ratio.high:.2f}{sure})."
+    interval = f"{ratio.low:.2f} to {ratio.high:.2f}"
+    return f"{start}; the error of {base} is {ratio.median:.2f} times as large ({interval}{sure})."
 
 
 def _ratio(found: Results, scene: Scene, budget: Budget, name: str, metric: str) -> Interval | None:
