@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -26,10 +27,20 @@ def median_interval(
     data = np.asarray(values, dtype=np.float64)
     if data.ndim != 1 or not data.size:
         raise ValueError(f"an interval needs at least one value; the shape that came is {data.shape}.")
-    drawn = np.random.default_rng(seed).integers(data.size, size=(resamples, data.size))
-    medians = np.median(data[drawn], axis=1)
+    return _median_interval(tuple(data.tolist()), confidence, resamples, seed)
+
+
+@lru_cache(maxsize=4096)  # tables and plots of a report ask for the same numbers
+def _median_interval(values: tuple[float, ...], confidence: float, resamples: int, seed: int) -> Interval:
+    data = np.array(values)
+    medians = np.median(data[_drawn(data.size, resamples, seed)], axis=1)
     low, high = np.quantile(medians, [(1.0 - confidence) / 2.0, (1.0 + confidence) / 2.0])
     return Interval(float(np.median(data)), float(low), float(high))
+
+
+@lru_cache(maxsize=4)
+def _drawn(size: int, resamples: int, seed: int) -> NDArray[np.int64]:
+    return np.random.default_rng(seed).integers(size, size=(resamples, size))
 
 
 def ratio_interval(numerator: Sequence[float], denominator: Sequence[float]) -> Interval:

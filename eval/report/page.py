@@ -1,8 +1,10 @@
 """The report's page: what each scene has to show, put into the template by Jinja."""
 
 import json
+import shlex
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -11,6 +13,7 @@ from ..results import Results, write_text
 from ..suite import OWN, Budget, Scene, slug
 from . import pictures, plots, words
 
+_T = TypeVar("_T")
 _HERE = Path(__file__).parent
 _PEAK = 64.0  # brighter radiance is white at every exposure the page offers
 
@@ -33,7 +36,10 @@ def page(found: Results) -> str:
         suite=found.suite,
         summary=words.summary(found),
         provenance=words.provenance(found),
-        commands=[f"pmc-sampler bench {found.path}/suite.toml -o {found.path}", f"pmc-sampler report {found.path}"],
+        commands=[
+            shlex.join(["pmc-sampler", "bench", str(found.path / "suite.toml"), "-o", str(found.path)]),
+            shlex.join(["pmc-sampler", "report", str(found.path)]),
+        ],
         scenes=[_scene(found, scene) for scene in found.suite.scenes],
         settings=[(m.name, m.numbers, json.dumps(m.settings), json.dumps(m.on)) for m in found.suite.methods],
         failed=found.failed,
@@ -48,31 +54,30 @@ def _scene(found: Results, scene: Scene) -> dict[str, Any]:
     budgets = found.suite.budgets(scene)
     budget = words.headline(found, scene)
     rows = [row for row in found.done if row["scene"] == scene.name]
-    errors = [
-        plots.error_plot(found, scene, metric, x) for metric in found.suite.metrics for x in ("spp", "seconds.total")
-    ]
-    main = sum(2 for metric in found.suite.metrics if metric in ("mse", "tvi_error"))
-    errors_by_use = sorted(
-        zip([m for m in found.suite.metrics for _ in "xx"], errors, strict=True),
-        key=lambda pair: pair[0] not in ("mse", "tvi_error"),
-    )
+    main = words.main_metrics(found)
+    others = [metric for metric in found.suite.metrics if metric not in main]
     return {
         "name": scene.name,
         "slug": slug(scene.name),
         "about": _about(scene, rows),
-        "tables": [table for one in budgets if (table := words.table(found, scene, one)) is not None],
-        "errors": [plot for _, plot in errors_by_use[:main] if plot],
-        "more_errors": [plot for _, plot in errors_by_use[main:] if plot],
-        "sweeps": [
-            plot
+        "tables": _given(words.table(found, scene, one, main, words.spoken(one)) for one in budgets),
+        "other_tables": _given(
+            words.table(found, scene, one, others, f"{words.spoken(one)}, other metrics") for one in budgets if others
+        ),
+        "errors": _given(plots.error_plot(found, scene, metric) for metric in main),
+        "other_errors": _given(plots.error_plot(found, scene, metric) for metric in others),
+        "sweeps": _given(
+            plots.sweep_plot(found, scene, metric, name, methods)
             for name, methods in words.sweeps(found)
-            for metric in found.suite.metrics
-            if metric in ("mse", "tvi_error")
-            if (plot := plots.sweep_plot(found, scene, metric, name, methods)) is not None
-        ],
+            for metric in main
+        ),
         "time": plots.time_plot(found, scene, str(budget)) if budget else None,
         **_pictures(found, scene, budget),
     }
+
+
+def _given(values: Iterable[_T | None]) -> list[_T]:
+    return [value for value in values if value is not None]
 
 
 def _about(scene: Scene, rows: list[dict[str, Any]]) -> str:
@@ -89,7 +94,7 @@ def _about(scene: Scene, rows: list[dict[str, Any]]) -> str:
 
 def _pictures(found: Results, scene: Scene, budget: Budget | None) -> dict[str, Any]:
     """The flip-book, crops, maps and bias maps of a scene; empty where an image is missing."""
-    nothing: dict[str, Any] = {"book": None, "crops": [], "maps": [], "bias": [], "budget": ""}
+    nothing: dict[str, Any] = {"book": None, "crops": [], "maps": [], "even": [], "bias": [], "budget": ""}
     path = found.reference_path(scene.name)
     if budget is None or path is None:
         return nothing
@@ -112,6 +117,8 @@ def _pictures(found: Results, scene: Scene, budget: Budget | None) -> dict[str, 
         "height": height,
         "peak": peak,
         "dark": pictures.DARK,
+        "reach": reach,
+        "colours": pictures.colours(),
         "images": [
             {"name": "reference", "kind": "radiance", "uri": pictures.encode(reference, peak)},
             *({"name": n, "kind": "radiance", "uri": pictures.encode(i.rgb, peak)} for n, i in made.items()),
@@ -130,7 +137,7 @@ def _pictures(found: Results, scene: Scene, budget: Budget | None) -> dict[str, 
             _crop(crop, rgb, reference, white)
             for crop in pictures.choose_crops(rgb, found.suite.baseline, reference, white)
         ],
-        "maps": [plot for name, image in made.items() for plot in _maps(name, image.layers)],
+        **_maps({name: image.layers for name, image in made.items()}),
         "bias": _bias(found, scene, budget, reference),
     }
 
@@ -147,21 +154,38 @@ def _crop(crop: pictures.Crop, rgb: dict[str, Any], reference: Any, white: float
     return {"where": where, "images": shown}
 
 
-def _maps(name: str, layers: dict[str, Any]) -> list[plots.Plot]:
-    found = []
-    if "samples" in layers:
-        found.append(plots.map_plot(layers["samples"], f"{name}: sample density", "samples in the pixel", log=True))
-    if "strategy" in layers:
-        alt = f"{name}: strategy image, red, green and blue for the first, second and third radius"
-        found.append(plots.Plot(pictures.png(layers["strategy"]), alt, f"{alt}; brightness is sample density"))
-    if "alpha" in layers:
-        for radius in range(3):
-            title = f"{name}: alpha, weight of the {('first', 'second', 'third')[radius]} radius"
-            found.append(plots.map_plot(layers["alpha"][..., radius], title, "weight"))
-    return found
+def _maps(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+    """Where each method's samples went: ``maps``, and sentences on those that spread them evenly, ``even``."""
+    maps: list[plots.Plot] = []
+    even = []
+    alphas = [of_method["alpha"] for of_method in layers.values() if "alpha" in of_method]
+    within = plots.limits(np.concatenate([alpha.ravel() for alpha in alphas])) if alphas else (0.0, 1.0)
+    for name, of_method in layers.items():
+        if "samples" in of_method:
+            samples = of_method["samples"]
+            if np.ptp(samples) == 0:
+                even.append(f"{name}: {samples.flat[0]:g} samples in every pixel.")
+            else:
+                title = f"{name}: sample density"
+                maps.append(plots.map_plot(samples, plots.limits(samples, log=True), title, "samples", log=True))
+        # A sampler without radii has the same for all three.
+        if "strategy" in of_method and np.ptp(of_method["strategy"], axis=-1).any():
+            alt = f"{name}: strategy image, red, green and blue for the first, second and third radius"
+            maps.append(plots.Plot(pictures.strategy(of_method["strategy"]), alt, f"{alt}; the brighter the denser"))
+        if "alpha" in of_method:
+            for radius, ordinal in enumerate(("first", "second", "third")):
+                title = f"{name}: alpha, weight of the {ordinal} radius"
+                maps.append(plots.map_plot(of_method["alpha"][..., radius], within, title, "weight"))
+    return {"maps": maps, "even": even}
 
 
 def _bias(found: Results, scene: Scene, budget: Budget, reference: Any) -> list[plots.Plot]:
+    """The bias maps of all methods, in one range."""
     mean = measures.tiles(reference)
-    tests = [(m.name, found.welch(scene.name, m.name, str(OWN if m.native else budget))) for m in found.suite.methods]
-    return [plots.bias_plot(test, mean, name) for name, test in tests if test is not None]
+    tests = {m.name: found.welch(scene.name, m.name, str(OWN if m.native else budget)) for m in found.suite.methods}
+    known = {name: (test, plots.bias_percent(test, mean)) for name, test in tests.items() if test is not None}
+    if not known:
+        return []
+    every = np.concatenate([np.abs(percent).ravel() for _, percent in known.values()])
+    reach = max(float(np.quantile(every, 0.98)), 1e-6)
+    return [plots.bias_plot(test, percent, reach, name) for name, (test, percent) in known.items()]

@@ -47,14 +47,29 @@ def shown(rgb: Pixels) -> str:
 
 
 def error_map(values: Pixels, reach: float) -> str:
-    """Values (height, width) from 0 (dark) to ``reach`` (bright) in a colour map of even steps, as a PNG."""
+    """Values (height, width) as a grey PNG of ``255 sqrt(x / reach)``, clipped to [0, reach]; the page colours it."""
+    return png(np.sqrt(np.clip(values / reach, 0.0, 1.0)))
+
+
+def colours() -> list[tuple[int, int, int]]:
+    """The 256 colours of an error map: a colour map of even steps, as bytes of sRGB."""
     from matplotlib import colormaps
 
-    return png(colormaps["viridis"](np.sqrt(np.clip(values / reach, 0.0, 1.0)))[..., :3])
+    return [(int(r), int(g), int(b)) for r, g, b, _ in colormaps["viridis"](range(256), bytes=True)]
+
+
+def strategy(shares: Pixels) -> str:
+    """Density of samples (height, width, 3) of three radii as a PNG: hue is the radius, brightness the density.
+
+    The 99th percentile of the density is full brightness, and it goes by the square root, so that the most of an image
+    is seen where a few pixels have most of the samples.
+    """
+    full = max(float(np.quantile(shares.max(axis=-1), 0.99)), 1e-12)
+    return png(np.sqrt(np.clip(shares / full, 0.0, 1.0)))
 
 
 def png(values: NDArray[np.floating]) -> str:
-    """Values in [0, 1], (height, width, 3), as the data URI of an 8-bit PNG."""
+    """Values in [0, 1], (height, width) or (height, width, 3), as the data URI of an 8-bit PNG."""
     from PIL import Image
 
     pixels = (np.clip(values, 0.0, 1.0) * 255.0 + 0.5).astype(np.uint8)
@@ -64,19 +79,22 @@ def png(values: NDArray[np.floating]) -> str:
 
 
 def choose_crops(images: Mapping[str, Pixels], baseline: str, reference: Pixels, white_luminance: float) -> list[Crop]:
-    """Where the baseline's tvi error is greatest, and where the methods' differ most; one place if they agree.
+    """Where the methods' errors differ most in thresholds of visibility, and where the baseline's are greatest.
 
-    ``images`` are (height, width, 3) by method. The baseline is any method where it has no image.
+    ``images`` are (height, width, 3) by method. The baseline is any method where it has no image. Errors are
+    ``|dY| / tvi(Y)``, not squared, so that a few bright pixels do not decide. One place if the methods agree.
     """
     height, width = reference.shape[:2]
     side = max(min(max(min(height, width) // 3, 2 * measures.TILE), height, width), 1)
     errors = {
-        name: measures.tile_means(metrics.tvi_error_map(image, reference, white_luminance=white_luminance))
+        name: measures.tile_means(np.sqrt(metrics.tvi_error_map(image, reference, white_luminance=white_luminance)))
         for name, image in images.items()
     }
-    base = errors.get(baseline, next(iter(errors.values())))
-    stack = np.sqrt(np.stack(list(errors.values())))
-    wanted = [(base, "the baseline's tvi error is greatest"), (np.ptp(stack, axis=0), "the methods differ most")]
+    spread = np.ptp(np.stack(list(errors.values())), axis=0)
+    wanted = [
+        (spread, "the methods differ most in thresholds"),
+        (errors.get(baseline, next(iter(errors.values()))), "the baseline's error in thresholds is greatest"),
+    ]
     crops: list[Crop] = []
     for values, why in wanted:
         free = values.copy()

@@ -2,16 +2,18 @@
 
 import base64
 import io
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from ..results import Results
 from ..statistics import Interval, Welch, median_interval
 from ..suite import OWN, Scene
+from . import figures
 
 HIGHER_IS_BETTER = frozenset({"psnr", "ssim", "pu21_psnr", "pu21_ssim"})
 
@@ -23,6 +25,8 @@ _HATCHES = ("", "////", "....")
 _STYLE = {
     "font.size": 9,
     "svg.hashsalt": "pmc_sampler",
+    "svg.fonttype": "none",
+    "text.parse_math": False,  # names of methods may hold a dollar
     "axes.spines.top": False,
     "axes.spines.right": False,
     "hatch.linewidth": 0.6,
@@ -38,63 +42,61 @@ class Plot:
     caption: str = ""
 
 
-def error_plot(found: Results, scene: Scene, metric: str, x: str) -> Plot | None:
-    """A metric against samples per pixel (``x`` "spp") or seconds ("seconds.total"), medians with bands over seeds.
+def error_plot(found: Results, scene: Scene, metric: str) -> Plot | None:
+    """A metric against samples per pixel, and against seconds below: medians with bands over seeds.
 
     None where no run is done. Values that have no logarithm are left out, and the caption says how many.
     """
     left_out = 0
     log = metric not in HIGHER_IS_BETTER
-    series: list[tuple[int, str, list[tuple[float, Interval]]]] = []
+    series: list[tuple[int, str, list[_Point]]] = []
     for number, method in enumerate(found.suite.methods):
         points = []
         for budget in found.suite.budgets(scene):
-            if x == "spp" and budget.kind == "seconds":
-                continue
             rows = found.select(scene.name, method.name, str(budget))
             if not rows:
                 continue
             interval = median_interval([row[metric] for row in rows])
-            if log and interval.low <= 0.0:
+            if log and not interval.low > 0.0:
                 left_out += 1
                 continue
-            points.append((median_interval([row[x] for row in rows]).median, interval))
+            spp, seconds = (float(np.median([row[x] for row in rows])) for x in ("spp", "seconds.total"))
+            points.append(_Point(spp, seconds, interval, of_time=budget.kind == "seconds"))
         if points:
-            series.append((number, method.name, sorted(points, key=lambda point: point[0])))
+            series.append((number, method.name, points))
     if not series:
         return None
+    rows_of_legend = -(-len(series) // 2)
 
-    def draw(axes: Any) -> None:
-        for number, name, points in series:
-            at = [point[0] for point in points]
-            median, low, high = zip(*((i.median, i.low, i.high) for _, i in points), strict=True)
-            look = {"color": _COLOURS[number % len(_COLOURS)], "marker": _MARKERS[number % len(_MARKERS)]}
-            native = found.suite.methods[number].native
-            line = "none" if native else _LINES[number % len(_LINES)]
-            axes.plot(at, median, linestyle=line, label=name, markersize=5, **look)
-            if len(at) > 1 and not native:
-                axes.fill_between(at, low, high, color=look["color"], alpha=0.15, linewidth=0)
-            else:
-                spread = np.maximum([np.subtract(median, low), np.subtract(high, median)], 0.0)
-                axes.errorbar(at, median, spread, color=look["color"], linestyle="none", capsize=3)
-        axes.set_xscale("log")
-        _plain_ticks(axes.xaxis, [point[0] for _, _, points in series for point in points])
-        if log:
-            axes.set_yscale("log")
-        axes.set_xlabel("samples per pixel" if x == "spp" else "seconds")
-        axes.set_ylabel(label(metric))
-        axes.grid(True, which="major", linewidth=0.4, alpha=0.6)
-        axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False)
+    def draw(figure: Any) -> None:
+        handles = {}
+        for place, (x, title) in enumerate((("spp", "samples per pixel"), ("seconds", "seconds"))):
+            axes = _panel(figure, place, 2, rows_of_legend)
+            every: list[float] = []
+            for number, name, of_method in series:
+                points = sorted((p for p in of_method if x == "seconds" or not p.of_time), key=lambda p: getattr(p, x))
+                if not points:
+                    continue
+                at = [getattr(point, x) for point in points]
+                every += at
+                native = found.suite.methods[number].native
+                handles[name] = _curve(axes, at, [p.interval for p in points], number, joined=not native)
+            axes.set_xlabel(title)
+            axes.set_ylabel(label(metric))
+            if every:
+                _log_axis(axes, "x", every)
+            if log:
+                _log_axis(axes, "y", [v for _, _, ps in series for p in ps for v in (p.interval.low, p.interval.high)])
+        _legend(figure, handles)
 
-    against = "samples per pixel" if x == "spp" else "seconds"
     missing = f" {left_out} points are not above the reference's noise and have no logarithm." if left_out else ""
     best = "higher" if metric in HIGHER_IS_BETTER else "lower"
-    alt = f"{label(metric)} against {against} on {scene.name}: " + "; ".join(
-        f"{name} {points[-1][1].median:.3g} at {points[-1][0]:.3g}" for _, name, points in series
+    alt = f"{label(metric)} on {scene.name}: " + "; ".join(
+        f"{name} {points[-1].interval.median:.3g} at {points[-1].spp:.3g} samples per pixel, {points[-1].seconds:.3g} s"
+        for _, name, points in series
     )
-    height = 2.9 + 0.2 * -(-len(series) // 2)
-    caption = f"{label(metric)} against {against}; {best} is better.{missing}"
-    return Plot(_svg(draw, (4.6, height)), alt, caption)
+    caption = f"{label(metric)} against samples per pixel and against seconds; {best} is better.{missing}"
+    return Plot(_svg(draw, _panel_size(2, rows_of_legend)), alt, caption)
 
 
 def sweep_plot(found: Results, scene: Scene, metric: str, parameter: str, methods: Mapping[float, str]) -> Plot | None:
@@ -111,32 +113,25 @@ def sweep_plot(found: Results, scene: Scene, metric: str, parameter: str, method
     if not curves:
         return None
 
-    def draw(axes: Any) -> None:
+    rows_of_legend = -(-len(curves) // 2)
+
+    def draw(figure: Any) -> None:
+        axes = _panel(figure, 0, 1, rows_of_legend)
+        handles = {}
         for number, (name, points) in enumerate(curves):
-            at = [value for value, _ in points]
-            colour = _COLOURS[number % len(_COLOURS)]
-            axes.plot(
-                at,
-                [i.median for _, i in points],
-                color=colour,
-                linestyle=_LINES[number % len(_LINES)],
-                marker=_MARKERS[number % len(_MARKERS)],
-                label=name,
-            )
-            axes.fill_between(
-                at, [i.low for _, i in points], [i.high for _, i in points], color=colour, alpha=0.15, linewidth=0
-            )
-        if metric not in HIGHER_IS_BETTER and all(i.low > 0 for _, points in curves for _, i in points):
-            axes.set_yscale("log")
+            handles[name] = _curve(axes, [value for value, _ in points], [interval for _, interval in points], number)
+        ends = [end for _, points in curves for _, i in points for end in (i.low, i.high)]
+        if metric not in HIGHER_IS_BETTER and min(ends) > 0:
+            _log_axis(axes, "y", ends)
         axes.set_xlabel(parameter)
         axes.set_ylabel(label(metric))
-        axes.grid(True, which="major", linewidth=0.4, alpha=0.6)
-        axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+        _legend(figure, handles)
 
     alt = f"{label(metric)} on {scene.name} against {parameter}: " + "; ".join(
         f"at {name} " + ", ".join(f"{i.median:.3g} for {value:g}" for value, i in points) for name, points in curves
     )
-    return Plot(_svg(draw, (4.6, 3.2)), alt, f"{label(metric)} against the setting {parameter}.")
+    size = _panel_size(1, rows_of_legend)
+    return Plot(_svg(draw, size), alt, f"{label(metric)} against the setting {parameter}.")
 
 
 def time_plot(found: Results, scene: Scene, budget: str) -> Plot | None:
@@ -154,41 +149,56 @@ def time_plot(found: Results, scene: Scene, budget: str) -> Plot | None:
         return None
     kinds = ("renderer", "sampler", "rest")
 
-    def draw(axes: Any) -> None:
+    inches = 1.0 + 0.45 * len(names)
+
+    def draw(figure: Any) -> None:
+        axes = figure.add_axes((0.03, 0.75 / inches, 0.94, 1.0 - 0.85 / inches))
         left = np.zeros(len(names))
+        handles = {}
         for kind, (title, values) in enumerate(zip(kinds, np.transpose(parts), strict=True)):
-            axes.barh(names, values, left=left, label=title, color=("#56B4E9", "#E69F00", "#ffffff")[kind],
-                      hatch=_HATCHES[kind], edgecolor="black", linewidth=0.6)  # fmt: skip
+            colour = ("#56B4E9", "#E69F00", "#ffffff")[kind]
+            handles[title] = axes.barh(range(len(names)), values, 0.45, left=left, hatch=_HATCHES[kind], color=colour,
+                                       edgecolor="black", linewidth=0.6)  # fmt: skip
             left += values
-        axes.invert_yaxis()
+        for place, name in enumerate(names):
+            axes.text(0.0, place - 0.28, name, verticalalignment="bottom")
+        axes.set_ylim(len(names) - 0.7, -0.85)
+        axes.set_yticks([])
         axes.set_xlabel("seconds")
-        axes.figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+        _legend(figure, handles, 3)
 
     alt = f"Seconds on {scene.name} at {budget}: " + "; ".join(
         f"{name} " + ", ".join(f"{kind} {value:.2f}" for kind, value in zip(kinds, values, strict=True))
         for name, values in zip(names, parts, strict=True)
     )
-    return Plot(_svg(draw, (4.6, 1.4 + 0.3 * len(names))), alt, f"Where the time went, medians over seeds at {budget}.")
+    return Plot(_svg(draw, (_WIDTH, inches)), alt, f"Where the time went, medians over seeds at {budget}.")
 
 
-def map_plot(values: ArrayLike, title: str, unit: str, log: bool = False) -> Plot:
-    """A picture of (height, width) values with its scale; the scale ends at the 99.5th percentile."""
+def limits(values: ArrayLike, log: bool = False) -> tuple[float, float]:
+    """The range in which all but the last half per cent of values at either end are, never empty."""
     data = np.asarray(values, dtype=np.float64)
     shown = data[np.isfinite(data) & (data > 0)] if log else data[np.isfinite(data)]
-    low, high = np.quantile(shown, [0.005, 0.995]) if shown.size else (0.0, 1.0)
-    if not high > low:
-        low, high = (low / 2, low * 2) if log else (low - 0.5, high + 0.5)
+    low, high = map(float, np.quantile(shown, [0.005, 0.995])) if shown.size else (1.0, 1.0)
+    if high > low:
+        return low, high
+    return (low / 2, low * 2) if log else (low - 0.5, high + 0.5)
 
-    def draw(axes: Any) -> None:
+
+def map_plot(values: ArrayLike, within: tuple[float, float], title: str, unit: str, log: bool = False) -> Plot:
+    """A picture of (height, width) values with its scale, which goes over ``within``."""
+    data = np.asarray(values, dtype=np.float64)
+    low, high = within
+
+    def draw(figure: Any) -> None:
         from matplotlib.colors import LogNorm, Normalize
 
         norm = LogNorm(low, high) if log else Normalize(low, high)
+        axes, bar = _picture_axes(figure)
         picture = axes.imshow(np.clip(data, low, high), cmap="viridis", norm=norm, interpolation="nearest")
-        axes.set_axis_off()
-        bar = axes.figure.colorbar(picture, ax=axes, shrink=0.8)
-        bar.set_label(unit)
+        scale = figure.colorbar(picture, cax=bar)
+        scale.set_label(unit)
         if log:
-            _plain_ticks(bar.ax.yaxis, [low, high])
+            _ticks(bar.yaxis, [value for value in figures.ticks(low, high) if low <= value <= high] or [low, high])
 
     mean = data[np.isfinite(data)].mean() if np.isfinite(data).any() else float("nan")
     return Plot(
@@ -196,24 +206,31 @@ def map_plot(values: ArrayLike, title: str, unit: str, log: bool = False) -> Plo
     )
 
 
-def bias_plot(test: Welch, mean: ArrayLike, title: str) -> Plot:
-    """Relative bias of each tile in per cent; a cross marks the tiles where it is more than chance explains.
+def bias_percent(test: Welch, mean: ArrayLike) -> NDArray[np.float64]:
+    """Relative bias of each tile in per cent; ``mean`` (rows, columns) is the reference's luminance of the tiles.
 
-    ``mean`` (rows, columns) is the reference's luminance of the tiles.
+    Where the reference is darker than a thousandth of its brightest tile, it is relative to that.
     """
     reference = np.asarray(mean, dtype=np.float64)
-    percent = 100.0 * test.difference / np.maximum(reference, 1e-3 * reference.max())
-    reach = max(float(np.quantile(np.abs(percent), 0.98)), 1e-6)
+    return np.asarray(100.0 * test.difference / np.maximum(reference, max(1e-3 * reference.max(), 1e-12)))
+
+
+def bias_plot(test: Welch, percent: ArrayLike, reach: float, title: str) -> Plot:
+    """``percent`` (rows, columns), :func:`bias_percent`, shown within -``reach`` to ``reach``.
+
+    A cross marks the tiles where the bias is more than chance explains.
+    """
     rows, columns = np.nonzero(test.biased)
 
-    def draw(axes: Any) -> None:
+    def draw(figure: Any) -> None:
+        axes, bar = _picture_axes(figure)
         picture = axes.imshow(percent, cmap="PuOr_r", vmin=-reach, vmax=reach, interpolation="nearest")
         axes.plot(columns, rows, linestyle="none", marker="x", color="black", markersize=5, markeredgewidth=1.2)
-        axes.set_axis_off()
-        axes.figure.colorbar(picture, ax=axes, shrink=0.8, extend="both").set_label("bias of luminance, %")
+        figure.colorbar(picture, cax=bar).set_label("bias of luminance, %")
 
     marked = f"{len(rows)} of {test.p.size} tiles are biased at a false-alarm rate of {test.alpha:g} over all tiles."
-    return Plot(_svg(draw, _size_of(percent)), f"{title}: {marked} Shown within ±{reach:.3g} %", f"{title}: {marked}")
+    alt = f"{title}: {marked} Shown within ±{reach:.3g} %"
+    return Plot(_svg(draw, _size_of(np.asarray(percent))), alt, f"{title}: {marked}")
 
 
 def label(metric: str) -> str:
@@ -225,29 +242,89 @@ def label(metric: str) -> str:
     return known.get(metric, metric.replace("_", " "))
 
 
+@dataclass(frozen=True)
+class _Point:
+    spp: float
+    seconds: float
+    interval: Interval
+    of_time: bool
+
+
+def _curve(axes: Any, at: Sequence[float], values: Sequence[Interval], number: int,
+           joined: bool = True) -> Any:  # fmt: skip
+    """Medians with a band, or with bars where they are not ``joined``; returns what stands in the legend."""
+    look = {"color": _COLOURS[number % len(_COLOURS)], "marker": _MARKERS[number % len(_MARKERS)]}
+    median, low, high = np.array([(value.median, value.low, value.high) for value in values]).T
+    line = _LINES[number % len(_LINES)] if joined else "none"
+    (handle,) = axes.plot(at, median, linestyle=line, markersize=5, **look)
+    if len(at) > 1 and joined:
+        axes.fill_between(at, low, high, color=look["color"], alpha=0.15, linewidth=0)
+    else:
+        spread = np.maximum([median - low, high - median], 0.0)
+        axes.errorbar(at, median, spread, color=look["color"], linestyle="none", capsize=3)
+    axes.grid(True, which="major", linewidth=0.4, alpha=0.6)
+    return handle
+
+
+def _log_axis(axes: Any, which: str, values: Sequence[float]) -> None:
+    """A logarithmic axis that holds the values, with ticks at 1, 2 and 5."""
+    low, high = min(values), max(values)
+    at = figures.ticks(low, high)
+    axes.set(**{f"{which}scale": "log", f"{which}lim": (min(low, at[0]) / 1.15, max(high, at[-1]) * 1.15)})
+    _ticks(axes.xaxis if which == "x" else axes.yaxis, at)
+
+
+def _ticks(axis: Any, at: Sequence[float]) -> None:
+    from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
+
+    axis.set_major_locator(FixedLocator(at))
+    axis.set_major_formatter(FixedFormatter([figures.tick(value) for value in at]))
+    axis.set_minor_locator(NullLocator())
+
+
+# Places in inches, from what the labels take: to have them computed takes longer than all the rest of a plot.
+_WIDTH, _PANEL, _LABELS, _LEGEND_ROW = 4.6, 1.9, 0.55, 0.2
+
+
+def _panel_size(panels: int, rows_of_legend: int) -> tuple[float, float]:
+    return _WIDTH, panels * (_PANEL + _LABELS) + rows_of_legend * _LEGEND_ROW + 0.05
+
+
+def _panel(figure: Any, place: int, panels: int, rows_of_legend: int) -> Any:
+    """Axes of the panel at a place, from the top."""
+    width, height = _panel_size(panels, rows_of_legend)
+    bottom = height - (place + 1) * _PANEL - place * _LABELS - 0.1
+    return figure.add_axes((0.7 / width, bottom / height, (width - 0.8) / width, _PANEL / height))
+
+
+def _picture_axes(figure: Any) -> tuple[Any, Any]:
+    """Axes of a picture, and of its scale."""
+    axes = figure.add_axes((0.0, 0.02, 0.8, 0.96))
+    axes.set_axis_off()
+    axes.set_anchor("W")
+    return axes, figure.add_axes((0.82, 0.06, 0.03, 0.88))
+
+
 def _size_of(data: Any) -> tuple[float, float]:
     height, width = data.shape
-    return 4.2, min(max(3.3 * height / width, 1.4), 5.0)
+    return 4.2, min(max(0.8 * 4.2 * height / width / 0.96, 1.4), 5.0)
 
 
-def _plain_ticks(axis: Any, values: Sequence[float]) -> None:
-    """Numbers as 0.5 and 64 on a logarithmic axis, three at least, none on top of another."""
-    from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-
-    low, high = min(values), max(values)
-    count = 5 if high / low > 4 else 3
-    axis.set_major_locator(FixedLocator(np.geomspace(low, high, count) if high > low else [low]))
-    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.2g}" if value < 100 else f"{value:.0f}"))
-    axis.set_minor_locator(NullLocator())
+def _legend(figure: Any, handles: Mapping[str, Any], columns: int = 2) -> None:
+    figure.legend(
+        list(handles.values()), list(handles), loc="lower center", ncols=columns, frameon=False, borderaxespad=0.0
+    )
 
 
 def _svg(draw: Callable[[Any], None], size: tuple[float, float]) -> str:
     from matplotlib import rc_context
     from matplotlib.figure import Figure
 
-    with rc_context(_STYLE):
-        figure = Figure(figsize=size, layout="constrained")
-        draw(figure.add_subplot())
+    with rc_context(_STYLE), warnings.catch_warnings():
+        figure = Figure(figsize=size)
+        draw(figure)
         out = io.BytesIO()
+        # The browser has a font for it.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
         figure.savefig(out, format="svg", metadata={"Date": None})
     return "data:image/svg+xml;base64," + base64.b64encode(out.getvalue()).decode("ascii")

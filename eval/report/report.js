@@ -40,6 +40,12 @@ function toneMapped(codes, linear, exposure) {
   return out;
 }
 
+function coloured(codes, colours) {
+  const out = new Uint8ClampedArray(codes.length);
+  for (let i = 0; i < codes.length; i += 4) out.set([...colours[codes[i]], 255], i);
+  return out;
+}
+
 async function open(root) {
   const find = (name) => root.querySelector(name);
   const book = JSON.parse(find("script").textContent);
@@ -59,11 +65,11 @@ async function open(root) {
     const radiance = book.images[index].kind === "radiance";
     const key = radiance ? `${index} ${exposure.value}` : `${index}`;
     if (!shown.has(key)) {
-      const data = radiance ? toneMapped(codes[index], linear, 2 ** exposure.value) : codes[index];
+      const data = radiance ? toneMapped(codes[index], linear, 2 ** exposure.value) : coloured(codes[index], book.colours);
       const sheet = document.createElement("canvas");
       sheet.width = width;
       sheet.height = height;
-      sheet.getContext("2d").putImageData(new ImageData(new Uint8ClampedArray(data), width, height), 0, 0);
+      sheet.getContext("2d").putImageData(new ImageData(data, width, height), 0, 0);
       if (shown.size > 8) shown.clear();
       shown.set(key, sheet);
     }
@@ -117,11 +123,11 @@ async function open(root) {
     if (x < 0 || y < 0 || x >= width || y >= height) return;
     const values = [left, right].map((select) => {
       const index = Number(select.value), image = book.images[index];
-      if (image.kind !== "radiance") return `${image.name}: a map`;
       const at = 4 * (y * width + x);
+      if (image.kind !== "radiance") return `${image.name}: ${(book.reach * (codes[index][at] / 255) ** 2).toPrecision(2)}`;
       return `${image.name}: ${[0, 1, 2].map((c) => linear[codes[index][at + c]].toPrecision(2)).join(", ")}`;
     });
-    find(".readout").textContent = `Pixel (${x}, ${y}), linear RGB. ${values.join(". ")}.`;
+    find(".readout").textContent = `Pixel (${x}, ${y}), linear RGB or tvi error. ${values.join("; ")}.`;
   }
 
   for (const control of [left, right, wipe, exposure]) control.addEventListener("input", draw);
@@ -171,4 +177,8 @@ async function open(root) {
   root.dataset.ready = "true";
 }
 
+const scrolls = new ResizeObserver((entries) => {
+  for (const { target } of entries) target.classList.toggle("more", target.scrollWidth > target.clientWidth);
+});
+for (const table of document.querySelectorAll(".scroll")) scrolls.observe(table);
 for (const root of document.querySelectorAll(".book")) open(root);

@@ -4,9 +4,11 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from ..markdown import ERRORS
 from ..results import Results, Row
 from ..statistics import Interval, mean_error, median_interval, ratio_interval
 from ..suite import OWN, Budget, Scene
+from .figures import common_exponent, power, rounded
 from .plots import HIGHER_IS_BETTER, label
 
 
@@ -29,7 +31,7 @@ class Table:
 
 
 def summary(found: Results) -> list[str]:
-    """What the numbers say: the state of the runs, then a sentence or two for each scene."""
+    """What the numbers say: the state of the runs, then for each scene who is best, by how much and at what bias."""
     suite = found.suite
     seeds = f"{suite.seeds} seeds" if suite.seeds > 1 else "one seed, so that nothing is known of the spread"
     state = f"{len(found.done)} runs are done with {seeds}"
@@ -41,10 +43,21 @@ def summary(found: Results) -> list[str]:
         if budget is None:
             said.append(f"{scene.name}: no run is done.")
             continue
-        for metric in ("tvi_error", "mse"):
-            if metric in suite.metrics:
-                said.append(_comparison(found, scene, budget, metric))
+        gains: dict[str, list[str]] = {}
+        for metric in main_metrics(found):
+            best, gain = _comparison(found, scene, budget, metric)
+            gains.setdefault(best, []).append(gain)
+        for best, sentences in gains.items():
+            said.append(
+                f"{scene.name}, {spoken(budget)}: {best} has {' and '.join(sentences)}. "
+                f"{_bias(found, scene, budget, best)}"
+            )
     return said
+
+
+def main_metrics(found: Results) -> list[str]:
+    """Those that the summary speaks of: MSE and tvi error where they are measured, else the first."""
+    return [metric for metric in found.suite.metrics if metric in ERRORS] or [found.suite.metrics[0]]
 
 
 def headline(found: Results, scene: Scene) -> Budget | None:
@@ -64,8 +77,8 @@ def spoken(budget: Budget) -> str:
     return f"{budget.value:g} " + ("samples per pixel" if budget.kind == "spp" else "s")
 
 
-def table(found: Results, scene: Scene, budget: Budget) -> Table | None:
-    """The methods' metrics, factors over the baseline, bias and time at a budget; None without runs.
+def table(found: Results, scene: Scene, budget: Budget, metrics: Sequence[str], title: str) -> Table | None:
+    """The methods' ``metrics``, factors over the baseline, bias and time at a budget; None without runs.
 
     The best of a column is of its medians, the smallest bias of its magnitude.
     """
@@ -75,16 +88,12 @@ def table(found: Results, scene: Scene, budget: Budget) -> Table | None:
     if not of_methods:
         return None
     columns: list[tuple[str, list[Cell]]] = []
-    for metric in suite.metrics:
+    for metric in metrics:
         intervals = [median_interval([row[metric] for row in rows]) for rows in of_methods.values()]
-        higher = metric in HIGHER_IS_BETTER
-        best = (max if higher else min)(interval.median for interval in intervals)
-        columns.append((f"{label(metric)} {'↑' if higher else '↓'}", [_cell(i, i.median == best) for i in intervals]))
-        if metric in ("mse", "tvi_error") and suite.baseline in of_methods:
+        columns.append(_column(label(metric), intervals, higher=metric in HIGHER_IS_BETTER))
+        if metric in ERRORS and suite.baseline in of_methods:
             ratios = [_ratio(found, scene, budget, name, metric) for name in of_methods]
-            known = [ratio.median for ratio in ratios if ratio is not None]
-            cells = [Cell("–") if r is None else _cell(r, r.median == max(known)) for r in ratios]
-            columns.append((f"{label(metric)} factor ↑", cells))
+            columns.append(_column(f"{label(metric)} factor", ratios, higher=True))
     biases = [mean_error([row["bias"] for row in rows]) for rows in of_methods.values()]
     least = min(abs(mean) for mean, _ in biases)
     columns.append(
@@ -92,11 +101,9 @@ def table(found: Results, scene: Scene, budget: Budget) -> Table | None:
     )
     columns.append(("samples per pixel", [Cell(f"{_median(rows, 'spp'):.4g}") for rows in of_methods.values()]))
     times = [median_interval([row["seconds.total"] for row in rows]) for rows in of_methods.values()]
-    quickest = min(time.median for time in times)
-    timed = budget.kind == "seconds"
-    columns.append(("seconds", [_cell(time, not timed and time.median == quickest) for time in times]))
+    columns.append(_column("seconds", times, higher=False, marked=budget.kind != "seconds"))
     rows = [(name, [cells[i] for _, cells in columns]) for i, name in enumerate(of_methods)]
-    return Table(spoken(budget), [head for head, _ in columns], rows)
+    return Table(title, [head for head, _ in columns], rows)
 
 
 def provenance(found: Results) -> list[tuple[str, str]]:
@@ -131,24 +138,35 @@ def sweeps(found: Results) -> list[tuple[str, dict[float, str]]]:
     return [(name, methods) for (name, _), methods in groups.items() if len(methods) > 2]
 
 
-def _comparison(found: Results, scene: Scene, budget: Budget, metric: str) -> str:
+def _comparison(found: Results, scene: Scene, budget: Budget, metric: str) -> tuple[str, str]:
+    """The best method in a metric, and what it has."""
     base = found.suite.baseline
     values = {
         method.name: _median(rows, metric)
         for method in found.suite.methods
         if (rows := found.select(scene.name, method.name, str(budget)))
     }
-    best = min(values, key=lambda name: values[name])
-    start = f"{scene.name}, {spoken(budget)}: {best} has the least {label(metric)}"
-    ratio = _ratio(found, scene, budget, best, metric) if base in values else None
+    higher = metric in HIGHER_IS_BETTER
+    best = (max if higher else min)(values, key=lambda name: values[name])
+    start = f"the {'highest' if higher else 'least'} {label(metric)}, {rounded(values[best])}"
+    ratio = _ratio(found, scene, budget, best, metric) if base in values and not higher else None
     if best == base or ratio is None:
-        return f"{start}, {values[best]:.3g}."
-    few = len(found.select(scene.name, best, str(budget))) < 2
-    if few:
-        return f"{start}; the error of {base} is {ratio.median:.2f} times as large with the one seed there is."
-    sure = "" if ratio.low > 1.0 else ", an interval that holds 1: no difference is shown"
-    interval = f"{ratio.low:.2f} to {ratio.high:.2f}"
-    return f"{start}; the error of {base} is {ratio.median:.2f} times as large ({interval}{sure})."
+        return best, start
+    start += f" ({base}: {rounded(ratio.median)} times as large"
+    if len(found.select(scene.name, best, str(budget))) < 2:
+        return best, f"{start}, with the one seed there is)"
+    sure = "" if ratio.low > 1.0 else ": no difference is shown"
+    return best, f"{start}, 95 % interval {rounded(ratio.low)} to {rounded(ratio.high)}{sure})"
+
+
+def _bias(found: Results, scene: Scene, budget: Budget, name: str) -> str:
+    mean, error = mean_error([row["bias"] for row in found.select(scene.name, name, str(budget))])
+    spread = "" if error != error else f" ± {100 * error:.3f}"
+    said = f"Its bias: {100 * mean:+.3f}{spread} % of the mean luminance"
+    test = found.welch(scene.name, name, str(budget))
+    if test is None:
+        return f"{said}."
+    return f"{said}; {int(test.biased.sum())} of {test.p.size} tiles are found biased."
 
 
 def _ratio(found: Results, scene: Scene, budget: Budget, name: str, metric: str) -> Interval | None:
@@ -162,6 +180,20 @@ def _median(rows: Sequence[Row], name: str) -> float:
     return median_interval([row[name] for row in rows]).median
 
 
-def _cell(value: Interval, best: bool) -> Cell:
-    spread = "" if value.low == value.high else f"{value.low:.3g} to {value.high:.3g}"
-    return Cell(f"{value.median:.3g}", spread, best)
+def _column(
+    name: str, intervals: Sequence[Interval | None], higher: bool, marked: bool = True
+) -> tuple[str, list[Cell]]:
+    """Head and cells, in a power of ten that stands once; None is unknown. The best are ``marked``."""
+    medians = [interval.median for interval in intervals if interval is not None]
+    best = (max if higher else min)(medians) if medians and marked else None
+    exponent = common_exponent(medians)
+    scale = 10.0**exponent
+    cells = []
+    for interval in intervals:
+        if interval is None:
+            cells.append(Cell("–"))
+            continue
+        median, low, high = (rounded(value / scale) for value in (interval.median, interval.low, interval.high))
+        cells.append(Cell(median, "" if low == high else f"{low} to {high}", interval.median == best))
+    times = f" in {power(exponent)}" if exponent else ""
+    return f"{name}{times} {'↑' if higher else '↓'}" if marked else f"{name}{times}", cells
