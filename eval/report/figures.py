@@ -1,7 +1,7 @@
 """Numbers as the page writes them: three figures, and powers of ten that stand once for many."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -25,13 +25,19 @@ def common_exponent(values: Iterable[float]) -> int:
     return 0 if -2 <= exponent < 4 else exponent
 
 
-def tick(value: float) -> str:
-    """A number at an axis: 0.05, 200, 2·10⁻⁴."""
-    exponent = _exponent(value) if value else 0
-    if -3 <= exponent < 4:
-        return f"{value:.4g}"
-    mantissa = f"{value / 10.0**exponent:.2g}"
-    return power(exponent) if mantissa == "1" else f"{mantissa}·{power(exponent)}"
+def number(value: float) -> str:
+    """A number to three figures, in a power of ten where it has many noughts: 0.0120, 9.80·10⁻⁵."""
+    exponent = common_exponent([value])
+    return f"{rounded(value / 10.0**exponent)}·{power(exponent)}" if exponent else rounded(value)
+
+
+def tick_labels(values: Sequence[float]) -> list[str]:
+    """The numbers at an axis, all of one form: 0.05 and 200, or 2·10⁻⁵ and 10⁻²."""
+    exponents = [_exponent(value) for value in values]
+    if all(-4 <= exponent < 5 for exponent in exponents):
+        return [f"{value:.4g}" if value < 1e4 else f"{value:.0f}" for value in values]
+    mantissas = [f"{value / 10.0**exponent:.2g}" for value, exponent in zip(values, exponents, strict=True)]
+    return [("" if m == "1" else f"{m}·") + power(e) for m, e in zip(mantissas, exponents, strict=True)]
 
 
 def ticks(low: float, high: float) -> list[float]:

@@ -11,7 +11,7 @@ import numpy as np
 from .. import images, measures, metrics
 from ..results import Results, write_text
 from ..suite import OWN, Budget, Scene, slug
-from . import pictures, plots, words
+from . import figures, pictures, plots, words
 
 _T = TypeVar("_T")
 _HERE = Path(__file__).parent
@@ -66,12 +66,13 @@ def _scene(found: Results, scene: Scene) -> dict[str, Any]:
         ),
         "errors": _given(plots.error_plot(found, scene, metric) for metric in main),
         "other_errors": _given(plots.error_plot(found, scene, metric) for metric in others),
+        "slopes": words.slopes(found, scene),
         "sweeps": _given(
             plots.sweep_plot(found, scene, metric, name, methods)
             for name, methods in words.sweeps(found)
             for metric in main
         ),
-        "time": plots.time_plot(found, scene, str(budget)) if budget else None,
+        "time": plots.time_plot(found, scene, str(budget), words.spoken(budget)) if budget else None,
         **_pictures(found, scene, budget),
     }
 
@@ -86,8 +87,8 @@ def _about(scene: Scene, rows: list[dict[str, Any]]) -> str:
     row = rows[0]
     return (
         f"{row['width']}x{row['height']} pixels, {row['renderer']}, reference of {row['reference.spp']} samples "
-        f"per pixel. Subtracted for the reference's own noise: MSE {row['reference.mse']:.3g}, tvi error "
-        f"{row['reference.tvi_error']:.3g}. Standard error of the reference's mean luminance: "
+        f"per pixel. Subtracted for the reference's own noise: MSE {figures.number(row['reference.mse'])}, tvi error "
+        f"{figures.number(row['reference.tvi_error'])}. Standard error of the reference's mean luminance: "
         f"{100 * row['reference.bias']:.3f} %."
     )
 
@@ -148,8 +149,9 @@ def _crop(crop: pictures.Crop, rgb: dict[str, Any], reference: Any, white: float
     for name, image in rgb.items():
         part = crop.of(image)
         tvi = metrics.tvi_error(part, inside, white_luminance=white)
-        figures = f"tvi error {tvi:.3g}, MSE {metrics.mse(part, inside):.3g}"
-        shown.append({"name": name, "uri": pictures.shown(part), "figures": figures})
+        mse = metrics.mse(part, inside)
+        said = f"tvi error {figures.number(tvi)}, MSE {figures.number(mse)}"
+        shown.append({"name": name, "uri": pictures.shown(part), "figures": said})
     where = f"{crop.width}x{crop.height} pixels from ({crop.left}, {crop.top}), where {crop.why}"
     return {"where": where, "images": shown}
 

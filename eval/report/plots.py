@@ -67,6 +67,7 @@ def error_plot(found: Results, scene: Scene, metric: str) -> Plot | None:
     if not series:
         return None
     rows_of_legend = -(-len(series) // 2)
+    samples = sorted(budget.value for budget in scene.budgets if budget.kind == "spp")
 
     def draw(figure: Any) -> None:
         handles = {}
@@ -84,7 +85,7 @@ def error_plot(found: Results, scene: Scene, metric: str) -> Plot | None:
             axes.set_xlabel(title)
             axes.set_ylabel(label(metric))
             if every:
-                _log_axis(axes, "x", every)
+                _log_axis(axes, "x", every, samples if x == "spp" and 1 < len(samples) < 7 else None)
             if log:
                 _log_axis(axes, "y", [v for _, _, ps in series for p in ps for v in (p.interval.low, p.interval.high)])
         _legend(figure, handles)
@@ -134,8 +135,11 @@ def sweep_plot(found: Results, scene: Scene, metric: str, parameter: str, method
     return Plot(_svg(draw, size), alt, f"{label(metric)} against the setting {parameter}.")
 
 
-def time_plot(found: Results, scene: Scene, budget: str) -> Plot | None:
-    """Median seconds of each method in the renderer, the sampler and the rest. None without runs."""
+def time_plot(found: Results, scene: Scene, budget: str, title: str) -> Plot | None:
+    """Median seconds of each method in the renderer, the sampler and the rest, at a budget called ``title``.
+
+    None without runs.
+    """
     names, parts = [], []
     for method in found.suite.methods:
         rows = found.select(scene.name, method.name, budget) or found.select(scene.name, method.name, str(OWN))
@@ -157,21 +161,21 @@ def time_plot(found: Results, scene: Scene, budget: str) -> Plot | None:
         handles = {}
         for kind, (title, values) in enumerate(zip(kinds, np.transpose(parts), strict=True)):
             colour = ("#56B4E9", "#E69F00", "#ffffff")[kind]
-            handles[title] = axes.barh(range(len(names)), values, 0.45, left=left, hatch=_HATCHES[kind], color=colour,
+            handles[title] = axes.barh(range(len(names)), values, 0.4, left=left, hatch=_HATCHES[kind], color=colour,
                                        edgecolor="black", linewidth=0.6)  # fmt: skip
             left += values
         for place, name in enumerate(names):
-            axes.text(0.0, place - 0.28, name, verticalalignment="bottom")
+            axes.text(0.0, place - 0.3, name, verticalalignment="bottom")
         axes.set_ylim(len(names) - 0.7, -0.85)
         axes.set_yticks([])
         axes.set_xlabel("seconds")
         _legend(figure, handles, 3)
 
-    alt = f"Seconds on {scene.name} at {budget}: " + "; ".join(
+    alt = f"Seconds on {scene.name} at {title}: " + "; ".join(
         f"{name} " + ", ".join(f"{kind} {value:.2f}" for kind, value in zip(kinds, values, strict=True))
         for name, values in zip(names, parts, strict=True)
     )
-    return Plot(_svg(draw, (_WIDTH, inches)), alt, f"Where the time went, medians over seeds at {budget}.")
+    return Plot(_svg(draw, (_WIDTH, inches)), alt, f"Where the time went, medians over seeds at {title}.")
 
 
 def limits(values: ArrayLike, log: bool = False) -> tuple[float, float]:
@@ -198,7 +202,8 @@ def map_plot(values: ArrayLike, within: tuple[float, float], title: str, unit: s
         scale = figure.colorbar(picture, cax=bar)
         scale.set_label(unit)
         if log:
-            _ticks(bar.yaxis, [value for value in figures.ticks(low, high) if low <= value <= high] or [low, high])
+            at = [value for value in figures.ticks(low, high) if low <= value <= high]
+            _ticks(bar.yaxis, at if len(at) > 1 else [low, high])
 
     mean = data[np.isfinite(data)].mean() if np.isfinite(data).any() else float("nan")
     return Plot(
@@ -266,10 +271,10 @@ def _curve(axes: Any, at: Sequence[float], values: Sequence[Interval], number: i
     return handle
 
 
-def _log_axis(axes: Any, which: str, values: Sequence[float]) -> None:
-    """A logarithmic axis that holds the values, with ticks at 1, 2 and 5."""
+def _log_axis(axes: Any, which: str, values: Sequence[float], at: Sequence[float] | None = None) -> None:
+    """A logarithmic axis that holds the values, with ticks ``at`` some, or else at 1, 2 and 5."""
     low, high = min(values), max(values)
-    at = figures.ticks(low, high)
+    at = at or figures.ticks(low, high)
     axes.set(**{f"{which}scale": "log", f"{which}lim": (min(low, at[0]) / 1.15, max(high, at[-1]) * 1.15)})
     _ticks(axes.xaxis if which == "x" else axes.yaxis, at)
 
@@ -278,7 +283,7 @@ def _ticks(axis: Any, at: Sequence[float]) -> None:
     from matplotlib.ticker import FixedFormatter, FixedLocator, NullLocator
 
     axis.set_major_locator(FixedLocator(at))
-    axis.set_major_formatter(FixedFormatter([figures.tick(value) for value in at]))
+    axis.set_major_formatter(FixedFormatter(figures.tick_labels(at)))
     axis.set_minor_locator(NullLocator())
 
 
@@ -299,15 +304,15 @@ def _panel(figure: Any, place: int, panels: int, rows_of_legend: int) -> Any:
 
 def _picture_axes(figure: Any) -> tuple[Any, Any]:
     """Axes of a picture, and of its scale."""
-    axes = figure.add_axes((0.0, 0.02, 0.8, 0.96))
+    axes = figure.add_axes((0.0, 0.02, 0.77, 0.96))
     axes.set_axis_off()
     axes.set_anchor("W")
-    return axes, figure.add_axes((0.82, 0.06, 0.03, 0.88))
+    return axes, figure.add_axes((0.79, 0.06, 0.03, 0.88))
 
 
 def _size_of(data: Any) -> tuple[float, float]:
     height, width = data.shape
-    return 4.2, min(max(0.8 * 4.2 * height / width / 0.96, 1.4), 5.0)
+    return 4.2, min(max(0.77 * 4.2 * height / width / 0.96, 1.4), 5.0)
 
 
 def _legend(figure: Any, handles: Mapping[str, Any], columns: int = 2) -> None:

@@ -8,7 +8,7 @@ from ..markdown import ERRORS
 from ..results import Results, Row
 from ..statistics import Interval, mean_error, median_interval, ratio_interval
 from ..suite import OWN, Budget, Scene
-from .figures import common_exponent, power, rounded
+from .figures import common_exponent, number, power, rounded
 from .plots import HIGHER_IS_BETTER, label
 
 
@@ -94,6 +94,10 @@ def table(found: Results, scene: Scene, budget: Budget, metrics: Sequence[str], 
         if metric in ERRORS and suite.baseline in of_methods:
             ratios = [_ratio(found, scene, budget, name, metric) for name in of_methods]
             columns.append(_column(f"{label(metric)} factor", ratios, higher=True))
+        limit = f"limit.{metric}"
+        if metric in ERRORS and all(row[limit] is not None for rows in of_methods.values() for row in rows):
+            reached = [median_interval([100 * r[limit] / r[metric] for r in rows]) for rows in of_methods.values()]
+            columns.append(_column(f"{label(metric)}, limit reached, %", reached, higher=True))
     biases = [mean_error([row["bias"] for row in rows]) for rows in of_methods.values()]
     least = min(abs(mean) for mean, _ in biases)
     columns.append(
@@ -104,6 +108,15 @@ def table(found: Results, scene: Scene, budget: Budget, metrics: Sequence[str], 
     columns.append(_column("seconds", times, higher=False, marked=budget.kind != "seconds"))
     rows = [(name, [cells[i] for _, cells in columns]) for i, name in enumerate(of_methods)]
     return Table(title, [head for head, _ in columns], rows)
+
+
+def slopes(found: Results, scene: Scene) -> str:
+    """How fast the MSE falls, a sentence; empty where nothing is known of it."""
+    if "mse" not in found.suite.metrics:
+        return ""
+    known = [(m.name, slope) for m in found.suite.methods if (slope := found.slope(scene.name, m.name, "mse"))]
+    listed = "; ".join(f"{name} {s.median:.2f} ({s.low:.2f} to {s.high:.2f})" for name, s in known)
+    return f"Slope of log MSE against log samples per pixel: {listed}." if known else ""
 
 
 def provenance(found: Results) -> list[tuple[str, str]]:
@@ -148,7 +161,7 @@ def _comparison(found: Results, scene: Scene, budget: Budget, metric: str) -> tu
     }
     higher = metric in HIGHER_IS_BETTER
     best = (max if higher else min)(values, key=lambda name: values[name])
-    start = f"the {'highest' if higher else 'least'} {label(metric)}, {rounded(values[best])}"
+    start = f"the {'highest' if higher else 'least'} {label(metric)}, {number(values[best])}"
     ratio = _ratio(found, scene, budget, best, metric) if base in values and not higher else None
     if best == base or ratio is None:
         return best, start
@@ -166,7 +179,8 @@ def _bias(found: Results, scene: Scene, budget: Budget, name: str) -> str:
     test = found.welch(scene.name, name, str(budget))
     if test is None:
         return f"{said}."
-    return f"{said}; {int(test.biased.sum())} of {test.p.size} tiles are found biased."
+    found_biased = f"{int(test.biased.sum())} of {test.p.size} tiles are found biased"
+    return f"{said}; {found_biased} at a false-alarm rate of {test.alpha:g} over all."
 
 
 def _ratio(found: Results, scene: Scene, budget: Budget, name: str, metric: str) -> Interval | None:
