@@ -145,12 +145,16 @@ def _pictures(found: Results, scene: Scene, budget: Budget | None) -> dict[str, 
 
 def _crop(crop: pictures.Crop, rgb: dict[str, Any], reference: Any, white: float) -> dict[str, Any]:
     inside = crop.of(reference)
-    shown = [{"name": "reference", "uri": pictures.shown(inside), "figures": ""}]
+    shown = [{"name": "reference", "uri": pictures.shown(inside), "figures": []}]
     for name, image in rgb.items():
         part = crop.of(image)
         tvi = metrics.tvi_error(part, inside, white_luminance=white)
-        mse = metrics.mse(part, inside)
-        said = f"tvi error {figures.number(tvi)}, MSE {figures.number(mse)}"
+        thresholds = metrics.threshold_ratio(part, inside, white_luminance=white)
+        said = [
+            f"{figures.number(thresholds)} thresholds",
+            f"tvi error {figures.number(tvi)}",
+            f"MSE {figures.number(metrics.mse(part, inside))}",
+        ]
         shown.append({"name": name, "uri": pictures.shown(part), "figures": said})
     where = f"{crop.width}x{crop.height} pixels from ({crop.left}, {crop.top}), where {crop.why}"
     return {"where": where, "images": shown}

@@ -88,14 +88,13 @@ def choose_crops(images: Mapping[str, Pixels], baseline: str, reference: Pixels,
     height, width = reference.shape[:2]
     side = max(min(max(min(height, width) // 3, 2 * measures.TILE), height, width), 1)
     errors = {
-        name: measures.tile_means(np.sqrt(metrics.tvi_error_map(image, reference, white_luminance=white_luminance)))
+        name: _window_means(np.sqrt(metrics.tvi_error_map(image, reference, white_luminance=white_luminance)), side)
         for name, image in images.items()
     }
-    spread = np.ptp(np.stack(list(errors.values())), axis=0)
     base = errors.get(baseline, next(iter(errors.values())))
     best = min(errors, key=lambda name: float(errors[name].mean()))
     wanted = [
-        (spread, "the methods differ most in thresholds"),
+        (np.ptp(np.stack(list(errors.values())), axis=0), "the methods differ most in thresholds"),
         (base, "the baseline's error in thresholds is greatest"),
         (errors[best] - base, f"{best} is farthest behind the baseline in thresholds"),
     ]
@@ -103,13 +102,19 @@ def choose_crops(images: Mapping[str, Pixels], baseline: str, reference: Pixels,
     for values, why in wanted:
         free = values.copy()
         for crop in crops:
-            rows, columns = ((np.arange(n) + 0.5) * measures.TILE for n in free.shape)
-            near = (abs(rows - crop.top - side / 2) < side)[:, None] & (abs(columns - crop.left - side / 2) < side)
-            free[near] = 0.0
-        if not free.max() > 0.0:
-            continue
-        row, column = np.unravel_index(int(free.argmax()), free.shape)
-        left = int(np.clip((column + 0.5) * measures.TILE - side / 2, 0, width - side))
-        top = int(np.clip((row + 0.5) * measures.TILE - side / 2, 0, height - side))
-        crops.append(Crop(left, top, side, side, why if not crops else f"{why}, apart from those above"))
+            rows, columns = np.ogrid[: free.shape[0], : free.shape[1]]
+            free[(abs(rows - crop.top) < side) & (abs(columns - crop.left) < side)] = 0.0
+        if free.max() > 0.0:
+            top, left = np.unravel_index(int(free.argmax()), free.shape)
+            why = why if not crops else f"{why}, apart from those above"
+            crops.append(Crop(int(left), int(top), side, side, why))
     return crops
+
+
+def _window_means(values: NDArray[np.floating], side: int) -> NDArray[np.float64]:
+    """Means of (height, width) values over the squares of ``side`` pixels, by their upper left corner."""
+    from scipy.ndimage import uniform_filter
+
+    means = uniform_filter(np.asarray(values, dtype=np.float64), size=side)
+    rows, columns = (slice(side // 2, side // 2 + n - side + 1) for n in values.shape)
+    return np.asarray(means[rows, columns])
