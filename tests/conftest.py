@@ -22,7 +22,7 @@ from types import ModuleType
 import pytest
 
 # Names that are programs, not Python modules, with the package to install.
-PROGRAMS = {"povray": "povray", "bwrap": "bubblewrap", "c++": "g++", "cmake": "cmake"}
+PROGRAMS = {"povray": "povray", "bwrap": "bubblewrap", "c++": "g++", "cmake": "cmake", "chromium": "chromium"}
 
 
 def under_ci() -> bool:

@@ -111,7 +111,7 @@ def _pictures(found: Results, scene: Scene, budget: Budget | None) -> dict[str, 
     white = found.suite.white_luminance
     errors = {name: metrics.tvi_error_map(image.rgb, reference, white_luminance=white) for name, image in made.items()}
     reach = max(float(np.quantile(np.stack(list(errors.values())), 0.995)), 1e-12)
-    peak = float(np.clip(max(reference.max(), 1.0), 1.0, _PEAK))
+    peak = float(np.clip(max(i.max() for i in (reference, *(image.rgb for image in made.values()))), 1.0, _PEAK))
     height, width = reference.shape[:2]
     book = {
         "width": width,
