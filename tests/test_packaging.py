@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.metadata
+import importlib.resources
 import importlib.util
 import re
 from pathlib import Path
@@ -36,6 +37,12 @@ def test_data_is_installed_beside_the_code() -> None:
     assert (root / "py.typed").is_file()
     assert (root / "_core.pyi").is_file()
     assert list((root / "core").glob("*.hpp")), "the headers are the C++ interface"
+
+
+def test_the_report_s_page_is_installed() -> None:
+    root = importlib.resources.files("pmc_sampler.eval.report")
+    for name in ("template.html", "report.css", "report.js"):
+        assert (root / name).is_file()
 
 
 def test_entry_points_are_found() -> None:
