@@ -46,7 +46,7 @@ def shown(rgb: Pixels) -> str:
     return png(display(rgb))
 
 
-def error_map(values: Pixels, reach: float) -> str:
+def error_map(values: NDArray[np.floating], reach: float) -> str:
     """Values (height, width) as a grey PNG of ``255 sqrt(x / reach)``, clipped to [0, reach]; the page colours it."""
     return png(np.sqrt(np.clip(values / reach, 0.0, 1.0)))
 

@@ -22,7 +22,7 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000", "#E69F00", "#
 _LINES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)))
 _MARKERS = "osD^vPX*<>"
 _HATCHES = ("", "////", "....")
-_STYLE = {
+_STYLE: Any = {
     "font.size": 9,
     "svg.hashsalt": "pmc_sampler",
     "svg.fonttype": "none",
