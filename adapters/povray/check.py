@@ -70,7 +70,7 @@ def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
         stack.callback(own.kill)
         ours = _Rays(scene, camera, width, height, 1).image(folders[2])  # while the other runs
         own.wait(source.timeout).check(str(source.file))
-        theirs = _image(folders[1], source.file, width, height)
+        theirs = images.finished(folders[1] / IMAGE, source.file, width, height)
         same, apart = _same(theirs, ours), _apart(theirs, ours)
         if not camera.has_lens and same >= _SHARE:
             return Agreement(same, apart)
@@ -109,19 +109,9 @@ class _Rays:
         out = np.zeros((self._size[0] * self._size[1], 3), np.float32)
         if len(self._pixel):
             self._source.run(folder, (f"+W{len(self._pixel)}", "+H1"), self._text)
-            np.add.at(out, self._pixel, _image(folder, self._source.file, len(self._pixel), 1)[0])
+            np.add.at(out, self._pixel, images.finished(folder / IMAGE, self._source.file, len(self._pixel), 1)[0])
         out /= np.float32(self._rays)
         return out.reshape(self._size)
-
-
-def _image(folder: Path, scene: Path, width: int, height: int) -> Image:
-    if not images.whole(folder / IMAGE):
-        raise ValueError(f"POV-Ray ended without an error and without an image of {scene}")
-    pixels = images.read(folder / IMAGE)
-    if pixels.shape[:2] != (height, width):
-        raise ValueError(f"POV-Ray's image of {scene} is {pixels.shape[1]}x{pixels.shape[0]}, not {width}x{height}")
-    images.clamp(pixels)
-    return pixels
 
 
 def _same(a: Image, b: Image) -> float:

@@ -13,7 +13,7 @@ import numpy as np
 import OpenImageIO as oiio  # noqa: N813
 from numpy.typing import NDArray
 
-__all__ = ["LARGEST", "clamp", "read", "whole"]
+__all__ = ["LARGEST", "clamp", "finished", "read", "whole"]
 
 LARGEST = 65504.0  # of half floats
 _MAGIC = 20000630
@@ -58,6 +58,20 @@ def read(file: Path) -> NDArray[np.float32]:
     if pixels is None or pixels.shape[2] < 3:
         raise OSError(f"the image that POV-Ray wrote cannot be read: {source.geterror() or 'it is not in colour'}")
     return np.ascontiguousarray(pixels[:, :, :3], np.float32)
+
+
+def finished(file: Path, scene: Path, width: int, height: int) -> NDArray[np.float32]:
+    """The pixels of what POV-Ray made of `scene`, shape (height, width, 3), infinite values made 65504.
+
+    Raises ValueError if there is no whole image or one of another size, OSError for a file that cannot be read.
+    """
+    if not whole(file):
+        raise ValueError(f"POV-Ray ended without an error and without an image of {scene}")
+    pixels = read(file)
+    if pixels.shape[:2] != (height, width):
+        raise ValueError(f"POV-Ray's image of {scene} is {pixels.shape[1]}x{pixels.shape[0]}, not {width}x{height}")
+    clamp(pixels)
+    return pixels
 
 
 def clamp(pixels: NDArray[np.float32]) -> int:

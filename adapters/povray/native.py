@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import time
 from dataclasses import dataclass
@@ -11,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..inputs import check_whole
-from .images import clamp, read
-from .program import private_folder
+from .images import finished
+from .program import private_folder, processors
 from .source import IMAGE, Source
 
 __all__ = ["Native", "render"]
@@ -94,21 +93,16 @@ def render(
     if threads is not None:
         check_whole("threads", threads, 1, 512)
     # The statistics come with +GS; `Source` has them off.
-    arguments = [f"+W{width}", f"+H{height}", "+GS", f"+WT{threads or _processors()}"]
+    arguments = [f"+W{width}", f"+H{height}", "+GS", f"+WT{threads or min(processors(), 512)}"]
     arguments += _switches(antialiasing, depth, threshold, jitter)
     with private_folder() as folder:
         began = time.perf_counter()
         result = source.run(folder, arguments, camera)
         seconds = time.perf_counter() - began
-        counts = _COUNTS.search(result.messages)
-        if counts is None or not (folder / IMAGE).is_file():
-            raise ValueError(f"POV-Ray ended without an error and without an image of {source.file}")
-        pixels = read(folder / IMAGE)
-    clamp(pixels)
-    if pixels.shape[:2] != (height, width):
-        raise ValueError(
-            f"POV-Ray's image of {source.file} is {pixels.shape[1]}x{pixels.shape[0]}, not {width}x{height}"
-        )
+        pixels = finished(folder / IMAGE, source.file, width, height)
+    counts = _COUNTS.search(result.messages)
+    if counts is None:
+        raise RuntimeError(f"POV-Ray does not say how many samples its image of {source.file} has")
     return Native(pixels, int(counts[1]) + int(counts[2]), seconds)
 
 
@@ -120,7 +114,3 @@ def _switches(antialiasing: int, depth: int, threshold: float, jitter: bool) -> 
     if antialiasing == 0:
         return ["-A"]
     return [f"+AM{antialiasing}", f"+A{threshold:.9f}", f"+R{depth}", "+J1.0" if jitter else "-J"]
-
-
-def _processors() -> int:
-    return min(len(os.sched_getaffinity(0)), 512)

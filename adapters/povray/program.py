@@ -15,7 +15,18 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-__all__ = ["Process", "Result", "find", "private_folder", "read_text", "run", "sandbox", "version", "write_text"]
+__all__ = [
+    "Process",
+    "Result",
+    "find",
+    "private_folder",
+    "processors",
+    "read_text",
+    "run",
+    "sandbox",
+    "version",
+    "write_text",
+]
 
 TIMEOUT = 3600.0  # seconds
 _INSTALL = "install it (on Debian: apt install povray; elsewhere: https://www.povray.org/download/)"
@@ -239,6 +250,11 @@ def _try_sandbox(path: str) -> None:
             f"bwrap can make no sandbox here ({done.stderr.strip() or f'status {done.returncode}'}): containers and "
             "some systems forbid user namespaces; allow them, or render without a sandbox what you trust"
         )
+
+
+def processors() -> int:
+    """How many processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def version() -> str:

@@ -136,12 +136,12 @@ class PovRayRenderer:
             if check:
                 self.agreement = _checked(made, self.camera, self.width, self.height)
         self.clamped = 0
-        self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or 2 * _processors())
+        self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or 2 * program.processors())
 
     @classmethod
     def probe(cls) -> str:
         """A line on the version; raises RuntimeError if there is no POV-Ray, with what to install."""
-        return f"POV-Ray {program.version()} ({program.find()}), {2 * _processors()} processes"
+        return f"POV-Ray {program.version()} ({program.find()}), {2 * program.processors()} processes"
 
     @classmethod
     def version(cls) -> str:
@@ -264,11 +264,6 @@ def _camera(given: Camera | Mapping[str, Any]) -> Camera:
             "a camera is a Camera, or a mapping with location, right, up, direction and what else a Camera has "
             f"({str(error).partition(') ')[2] or error})"
         ) from None
-
-
-def _processors() -> int:
-    """How many processors this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _remove(folder: Path, owner: int) -> None:

@@ -91,6 +91,7 @@ def test_povray_s_own_anti_aliasing(run: Any, image: Any) -> None:
     [
         ("--method native --spp 4", "takes no --spp: povray chooses its samples by itself"),
         ("--method native --seed 1", "takes no --seed"),
+        ("--method native --scheduler tcp://127.0.0.1:1", "takes no --scheduler"),
         ("--method native --config none.toml", "takes no --config"),
         ("--method native --set depth=12", "depth is 12: expected a whole number from 1 to 9"),
         ("--method native --set threshold=low", "threshold is 'low': expected a number"),
