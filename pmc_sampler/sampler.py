@@ -300,11 +300,13 @@ def config_for(radiance: Radiance, settings: Mapping[str, Any]) -> Config:
     """Settings as `Config.from_dict` takes them, for what a renderer says of itself.
 
     Its `width` and `height` scale the preset "paper"; where it has a `filter`, the settings of its film's
-    reconstruction filter, they are the image's unless `settings` name one.
+    reconstruction filter, they are the image's unless `settings` name one. Where it has a `batching`, the `batch` and
+    `lookahead` that suit it, they hold unless `settings` name others or start from the preset "paper".
     """
     size = (getattr(radiance, "width", 640), getattr(radiance, "height", 480))
     filtered = {} if "filter" in settings else getattr(radiance, "filter", {})
-    return Config.from_dict({**filtered, **settings}, size)
+    batching = {} if settings.get("preset") == "paper" else getattr(radiance, "batching", {})
+    return Config.from_dict({**batching, **filtered, **settings}, size)
 
 
 def _takes_batch(radiance: Radiance) -> bool:

@@ -26,6 +26,7 @@ from .worker import Pool
 __all__ = ["PovRayRenderer"]
 
 _SIZE = (640, 480)
+_BATCH = 1 << 17  # rays: a process for each part of a batch has to start and read the scene, whatever the part's size
 
 
 class PovRayRenderer:
@@ -152,6 +153,15 @@ class PovRayRenderer:
     def filter(self) -> Mapping[str, Any]:
         """The settings of a `Config` for the reconstruction filter: a box, since POV-Ray scenes name none."""
         return self._filter
+
+    @property
+    def batching(self) -> Mapping[str, int]:
+        """The settings of a `Config` that suit POV-Ray: large batches, each drawn from all that was told before.
+
+        But of two samples a pixel at most, for a population that moves once in many samples learns little.
+        """
+        pixels = self.width * self.height
+        return {"batch": max(pixels // 2, min(_BATCH, 2 * pixels)), "lookahead": 0}
 
     @property
     def processes(self) -> int:

@@ -123,3 +123,7 @@ def test_settings_for_a_renderer() -> None:
     filtered = SimpleNamespace(width=64, height=48, filter={"filter": "gaussian", "filter_radius": 1.5})
     assert config_for(filtered, {}) == Config(filter="gaussian", filter_radius=1.5)
     assert config_for(filtered, {"filter": "tent"}) == Config(filter="tent")
+    slow = SimpleNamespace(width=64, height=48, batching={"batch": 9000, "lookahead": 0})
+    assert config_for(slow, {}) == Config(batch=9000, lookahead=0)
+    assert config_for(slow, {"preset": "uniform", "batch": 70}) == Config.uniform(batch=70, lookahead=0)
+    assert config_for(slow, {"preset": "paper"}) == Config.paper(64, 48)

@@ -15,6 +15,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from pmc_sampler import Budget, Config, render
+from pmc_sampler.sampler import config_for
+
 pytestmark = pytest.mark.needs("povray", "OpenImageIO")
 
 Array = npt.NDArray[Any]
@@ -82,6 +85,13 @@ def test_noise_averages_to_povrays(make: Any, own_image: Any, noisy_text: str, b
     for factor, same in (("1", True), ("1.1", False)):
         reference = own_image(noisy_text.replace("-5> 1", f"-5> {factor}"), size, "+A0.0", "+AM1", "+R8", "-J")
         assert (abs(float((values.mean(axis=2) - reference).mean())) < 5 * error) == same
+
+
+def test_the_batches_that_suit_it(make: Any, plain_text: str) -> None:
+    small = make(plain_text, size=(20, 10))
+    assert config_for(small, {}) == Config(batch=400, lookahead=0, filter_radius=0.5)  # two samples a pixel
+    result = render(small, 20, 10, Budget(spp=4), config_for(small, {}))
+    assert result.samples == 800
 
 
 def test_focal_blur_and_its_samplers(make: Any, plain_text: str, plain_camera: Any, centres: Any) -> None:
