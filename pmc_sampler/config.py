@@ -20,14 +20,15 @@ class Config:
     """How the sampler chooses pixels and what image it makes of the samples. Checked on construction.
 
     The batch
-        batch: samples in a batch; None: one for each pixel before anything adapts and one for every second pixel after,
+        batch: samples in a batch; None: one for each pixel before anything adapts and one for every fourth pixel after,
             4096 at least. A `population` that is given sets the size of the batches that adapt.
-        initial_spp: samples a pixel from the stratified pool before anything adapts; None: an eighth of the budget,
-            held to 4 to 16.
+        initial_spp: samples a pixel from the stratified pool before anything adapts; None: a sixteenth of the
+            budget, held to 4 to 16.
         pool_share: share of each batch from the stratified pool, in [0, 1]; 1 is uniform sampling.
         direct_share: share of the rest drawn from `beta` and evaluated where drawn, outside the population, in [0, 1].
         lookahead: batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]; so many batches may be
-            open besides the one asked for, and as many more populations take turns.
+            open besides the one asked for, and as many more populations take turns. For renderers that work on several
+            batches at once; others only learn later from it.
 
     The population (paper, 4.1 and 4.3)
         population: members n, at most the pixels of the image; None: what fills the batch.
@@ -68,7 +69,7 @@ class Config:
     initial_spp: float | None = None
     pool_share: float = 0.15
     direct_share: float = 0.75
-    lookahead: int = 1
+    lookahead: int = 0
     population: int | None = None
     moves: int = 2
     radii: tuple[float, ...] | None = None
@@ -118,7 +119,6 @@ class Config:
             "initial_spp": 0.0,
             "pool_share": 0.0,
             "direct_share": 0.0,
-            "lookahead": 0,
             "correction": 0.0,
         }
         return cls(**{**settings, **changes})

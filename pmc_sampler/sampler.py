@@ -27,9 +27,8 @@ class Batch:
     positions: (n, 2) float32, pixels, x right, y down, origin the image's top-left corner.
     pixel: (n,) uint32, y * width + x of the pixel that the sample counts for.
     index: (n,) uint32, the sample's place in its pixel's low-discrepancy sequence.
-    scramble: (n,) uint32, that sequence's scramble, a hash of seed, pixel and stream (pool or adaptive). The
-        position took
-        dimensions 0 and 1 of Owen-scrambled Sobol points; a renderer goes on from dimension 2.
+    scramble: (n,) uint32, that sequence's scramble, a hash of seed and pixel. The position took dimensions 0 and 1 of
+        Owen-scrambled Sobol points; a renderer goes on from dimension 2.
     number: the batch's number, from 0.
     """
 
@@ -300,8 +299,8 @@ def config_for(radiance: Radiance, settings: Mapping[str, Any]) -> Config:
     """Settings as `Config.from_dict` takes them, for what a renderer says of itself.
 
     Its `width` and `height` scale the preset "paper"; where it has a `filter`, the settings of its film's
-    reconstruction filter, they are the image's unless `settings` name one. Where it has a `batching`, the `batch` and
-    `lookahead` that suit it, they hold unless `settings` name others or start from the preset "paper".
+    reconstruction filter, they are the image's unless `settings` name one. Where it has a `batching`, settings such as
+    `batch` and `lookahead` that suit it, they hold unless `settings` name others or start from the preset "paper".
     """
     size = (getattr(radiance, "width", 640), getattr(radiance, "height", 480))
     filtered = {} if "filter" in settings else getattr(radiance, "filter", {})

@@ -156,12 +156,12 @@ class PovRayRenderer:
 
     @property
     def batching(self) -> Mapping[str, int]:
-        """The settings of a `Config` that suit POV-Ray: large batches, each drawn from all that was told before.
+        """The settings of a `Config` that suit POV-Ray: large batches.
 
         But of two samples a pixel at most, for a population that moves once in many samples learns little.
         """
         pixels = self.width * self.height
-        return {"batch": max(pixels // 2, min(_BATCH, 2 * pixels)), "lookahead": 0}
+        return {"batch": max(pixels // 4, min(_BATCH, 2 * pixels))}
 
     @property
     def processes(self) -> int:

@@ -26,7 +26,7 @@ class Greedy:
                 f"white_luminance is {white_luminance!r} and batch {batch!r}: expected above 0 and at least 1"
             )
         self._white = float(white_luminance)
-        self._batch = max(4096, int(radiance.width) * int(radiance.height) // 2) if batch is None else int(batch)
+        self._batch = max(4096, int(radiance.width) * int(radiance.height) // 4) if batch is None else int(batch)
 
     def allocate(self, film: Film, drawn: NDArray[np.int64], at_most: int) -> NDArray[np.float64]:
         """The next batch's shares."""

@@ -68,7 +68,7 @@ class AllocatingSampler:
         if initial_spp is None:
             initial_spp = rule.initial_spp
         if initial_spp is None:
-            initial_spp = 4.0 if budget.spp is None else min(16.0, max(4.0, budget.spp / 8))
+            initial_spp = 4.0 if budget.spp is None else min(16.0, max(4.0, budget.spp / 16))
         if not initial_spp >= 0:
             raise ValueError(f"initial_spp is {initial_spp!r}: expected 0 or more")
         self._initial = round(initial_spp * pixels)

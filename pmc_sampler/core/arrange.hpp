@@ -32,18 +32,21 @@ struct Proposals {
     std::size_t size() const { return slot.size(); }
 };
 
-// Keys of the two sequences of a pixel: the adaptive samples' and the pool's must not be ranges of one sequence, or the
-// expected value of a pool sample would depend on what steered the others.
-struct ScrambleKeys {
-    std::uint32_t adaptive, pool;
-    explicit ScrambleKeys(std::uint32_t seed) : adaptive(mix(seed, 1)), pool(mix(seed, 2)) {}
+// The points of a pixel's low-discrepancy sequence are shared out once and for all: the first `reserved` are the pool's, a pass
+// each, and what steering adds goes on from there. So all samples of a pixel are a stretch of one sequence, and are stratified
+// together; yet which point a pool sample gets, and with it its expected value, depends on nothing that was seen. Passes beyond
+// the reserve have a sequence of their own.
+struct Sequences {
+    std::uint32_t shared, beyond;  // keys
+    std::uint32_t reserved;
+
+    Sequences(std::uint32_t seed, std::uint32_t reserved) : shared(mix(seed, 2)), beyond(mix(seed, 1)), reserved(reserved) {}
 };
 
-// Scrambles, and places in the pixel's square in [0, 1)^2, for samples [0, n).
-PMC_MULTIVERSION inline void draw_places(const std::uint32_t* pixel, const std::uint32_t* index, const std::uint8_t* tag, std::size_t n,
-                                         ScrambleKeys keys, std::uint32_t* scramble, Point2* places) {
+// Scrambles from keys, in place, and places in the pixel's square in [0, 1)^2, for samples [0, n).
+PMC_MULTIVERSION inline void draw_places(const std::uint32_t* pixel, const std::uint32_t* index, std::size_t n, std::uint32_t* scramble, Point2* places) {
     for (std::size_t i = 0; i < n; ++i) {
-        const std::uint32_t s = mix((tag[i] & Tag::pool) ? keys.pool : keys.adaptive, pixel[i]);
+        const std::uint32_t s = mix(scramble[i], pixel[i]);
         scramble[i] = s;
         places[i] = sobol_pair(s, index[i], 0);
     }
@@ -51,8 +54,8 @@ PMC_MULTIVERSION inline void draw_places(const std::uint32_t* pixel, const std::
 
 class Arranger {
 public:
-    Arranger(const Tiling& tiling, std::uint32_t seed, Filter filter, double filter_radius)
-        : tiling_(tiling), keys_(seed), filter_(filter, filter_radius) {}
+    Arranger(const Tiling& tiling, Sequences sequences, Filter filter, double filter_radius)
+        : tiling_(tiling), sequences_(sequences), filter_(filter, filter_radius) {}
 
     // Advances film.drawn.
     void operator()(const Proposals& proposals, Film& film, Batch& batch, ThreadPool& threads) {
@@ -124,14 +127,15 @@ private:
             batch.slot[p] = base + e.local;
             batch.tag[p] = e.tag;
             batch.pixel[p] = (y0 + e.local / Tiling::side) * tiling_.width + x0 + e.local % Tiling::side;
-            // The pool visits a pixel once in a pass; the adaptive sequence goes on from its last sample.
-            const bool adaptive = !(e.tag & Tag::pool);
+            // The pool visits a pixel once in a pass.
+            const bool adaptive = !(e.tag & Tag::pool), beyond = !adaptive && e.pass >= sequences_.reserved;
             const std::uint32_t drawn = film.drawn[base + e.local];
-            batch.index[p] = adaptive ? drawn : e.pass;
+            batch.index[p] = adaptive ? sequences_.reserved + drawn : beyond ? e.pass - sequences_.reserved : e.pass;
+            batch.scramble[p] = beyond ? sequences_.beyond : sequences_.shared;
             film.drawn[base + e.local] = drawn + adaptive;
             if (e.proposal - batch.first < batch.iteration_samples) batch.place[e.proposal - batch.first] = p;
         }
-        draw_places(&batch.pixel[begin], &batch.index[begin], &batch.tag[begin], end - begin, keys_, &batch.scramble[begin], &batch.positions[begin]);
+        draw_places(&batch.pixel[begin], &batch.index[begin], end - begin, &batch.scramble[begin], &batch.positions[begin]);
         if (filter_.trivial()) {
             for (std::size_t p = begin; p < end; ++p) {
                 const std::uint32_t local = batch.slot[p] - base;
@@ -148,7 +152,7 @@ private:
     }
 
     Tiling tiling_;
-    ScrambleKeys keys_;
+    Sequences sequences_;
     FilterSampler filter_;
     Buffer<std::uint32_t> counts_, starts_;
     Buffer<Entry> entries_;

@@ -150,6 +150,7 @@ NB_MODULE(_core, m) {
         .def("done", [](Sampler& s) { return s.alone([&] { return static_cast<int>(s.done()); }); })
         .def_prop_ro("samples", [](Sampler& s) { return s.alone([&] { return s.samples(); }); })
         .def_prop_ro("rejected", [](Sampler& s) { return s.alone([&] { return s.rejected(); }); })
+        .def_prop_ro("reserved", &Sampler::reserved)
         .def_prop_ro("total", [](const Sampler& s) -> nb::object {
             return s.total() == pmc::Sampler::unlimited ? nb::none() : nb::object(nb::int_(s.total()));
         })

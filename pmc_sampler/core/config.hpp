@@ -25,14 +25,14 @@ enum class Filter : std::uint8_t { box, tent, gaussian, blackman_harris };
 
 struct Config {
     static constexpr std::uint32_t max_kernels = 3;
-    static constexpr double automatic = -1.0;  // of initial_spp: an eighth of the budget, 4 to 16
+    static constexpr double automatic = -1.0;  // of initial_spp: a sixteenth of the budget, 4 to 16
 
     // The batch
     std::uint64_t batch = 0;        // samples in a batch; 0: see Sampler::batch_size(). Once it adapts, `population` sets the size where given
     double initial_spp = automatic; // samples a pixel from the pool before anything adapts
     double pool_share = 0.15;       // share of each batch from the stratified pool, in [0, 1]
     double direct_share = 0.75;     // share of the rest drawn from beta and evaluated where drawn, in [0, 1]
-    std::uint32_t lookahead = 1;    // batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]
+    std::uint32_t lookahead = 0;    // batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]
 
     // The population (sections 4.1 and 4.3)
     std::uint32_t population = 0;         // members n; 0: what fills the batch

@@ -36,13 +36,11 @@ public:
             std::uint32_t aovs = 0, unsigned threads = 0, bool is_signed = false)
         : config(settings.resolved(width, height)), budget(checked(budget)), seed(seed), threads_(threads),
           film_(width, height, config, aovs, is_signed), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
-          memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, key(seed), config.filter, config.filter_radius),
+          memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, Sequences(key(seed), reserved()), config.filter, config.filter_radius),
           populations_(std::size_t(config.lookahead) + 1), id_(next_id().fetch_add(1)) {
         const double pixels = static_cast<double>(film_.tiling.pixels());
         total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
-        double initial = config.initial_spp;
-        if (initial == Config::automatic) initial = budget.spp == Budget::none ? 4.0 : std::clamp(std::round(budget.spp / 8.0), 4.0, 16.0);
-        initial_ = static_cast<std::uint64_t>(std::min(std::round(initial * pixels), static_cast<double>(total_)));
+        initial_ = static_cast<std::uint64_t>(std::min(std::round(initial_spp() * pixels), static_cast<double>(total_)));
     }
     Sampler(const Sampler&) = delete;
     Sampler& operator=(const Sampler&) = delete;
@@ -135,6 +133,16 @@ public:
         return elapsed_before_ + (started_ ? std::chrono::duration<double>(Clock::now() - *started_).count() : 0.0);
     }
 
+    // Passes that the pool makes in the whole budget, or 16 at least where that has no limit of samples; see Sequences.
+    std::uint32_t reserved() const {
+        const double initial = initial_spp(), placed = config.evaluate_regenerated ? config.eliminate : 0.0;
+        if (config.is_uniform()) return ~0u;
+        if (budget.spp == Budget::none) return static_cast<std::uint32_t>(std::clamp(std::ceil(initial), 16.0, 1e9));
+        const double own = (1.0 - config.pool_share) * (1.0 - config.direct_share) * placed / std::max(config.moves + placed, 1e-9);
+        const double share = config.pool_share + own * config.regenerate_pool;
+        return static_cast<std::uint32_t>(std::ceil(std::min(initial, budget.spp) + share * std::max(budget.spp - initial, 0.0)));
+    }
+
     template <class Archive>
     void archive(Archive& a);
 
@@ -209,6 +217,10 @@ private:
         }
     }
 
+    double initial_spp() const {
+        if (config.initial_spp != Config::automatic) return config.initial_spp;
+        return budget.spp == Budget::none ? 4.0 : std::clamp(std::round(budget.spp / 16.0), 4.0, 16.0);
+    }
     Population& population_of(std::uint64_t batch) { return populations_[batch % populations_.size()]; }
 
     bool prepare();

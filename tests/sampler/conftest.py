@@ -145,7 +145,7 @@ class Oracle:
         valid = finite & (rgb_ >= 0).all(axis=1)
         order = np.flatnonzero(valid)[np.argsort(all_.pixel[valid], kind="stable")]
         pixel, values = all_.pixel[order], all_.radiance[order]
-        pool = all_.scramble[order] == pool_scramble(s)[pixel]
+        pool = from_pool(s, all_)[order]
 
         def count(mask: np.ndarray) -> np.ndarray:
             return np.bincount(pixel[mask], minlength=pixels)
@@ -174,12 +174,19 @@ class Oracle:
         }
 
 
-def pool_scramble(sampler: Sampler) -> np.ndarray:
-    """The scramble of each pixel's pool sequence, (pixels,): that of a uniform sampler of the same size and seed."""
+def scrambles(sampler: Sampler) -> np.ndarray:
+    """The scramble of each pixel's first sequence, (pixels,): that of a uniform sampler of the same size and seed."""
     uniform = Sampler(sampler.width, sampler.height, Budget(spp=1), Config.uniform(batch=2**31), seed=sampler.seed)
     batch = uniform.ask()
     result = np.zeros(sampler.width * sampler.height, np.uint32)
     result[batch.pixel] = batch.scramble
+    return result
+
+
+def from_pool(sampler: Sampler, samples: Any) -> np.ndarray:
+    """Which of some samples are the pool's: the reserved first points of the first sequence, and another sequence."""
+    first = samples.scramble == scrambles(sampler)[samples.pixel]
+    result: np.ndarray = ~first | (samples.index < sampler._native.reserved)
     return result
 
 
@@ -262,7 +269,8 @@ def tools() -> SimpleNamespace:
         shuffled=shuffled,
         state=state,
         pictures=pictures,
-        pool_scramble=pool_scramble,
+        from_pool=from_pool,
+        scrambles=scrambles,
         members=members,
         proposals=proposals,
     )

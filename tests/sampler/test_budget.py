@@ -213,13 +213,13 @@ def test_black_costs_nothing_beyond_its_share_of_the_pool(
     else:
         config, reach = Config(radii=(1.0, 3.0), moves=2, eliminate=1.0, initial_spp=4.0, lookahead=0), 6
     sampler = Sampler(64, 32, Budget(spp=20), config, seed=5)
-    pool, in_black, pool_in_black = tools.pool_scramble(sampler), 0, 0
+    in_black, pool_in_black = 0, 0
     while not sampler.done:
         batch = sampler.ask()
         if sampler.samples >= 4 * 64 * 32:
             deep = batch.pixel % 64 < 32 - reach
             in_black += int(deep.sum())
-            pool_in_black += int((deep & (batch.scramble == pool[batch.pixel])).sum())
+            pool_in_black += int((deep & tools.from_pool(sampler, batch)).sum())
         sampler.tell(batch, renderers.right_half(64)(batch))
     assert in_black == pool_in_black > 0
     bright = sampler.film.samples[:, 32:].sum()

@@ -189,11 +189,13 @@ CONFIGS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize("lookahead", [0, 1, 3])
 @pytest.mark.parametrize("name", CONFIGS)
 def test_indices_count_up(name: str, lookahead: int, renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
-    """Over a whole run, with batches open and told in any order, the indices of each pixel and stream are 0 to n - 1,
-    each once. A pixel has one scramble for the pool and one for all else, and no two pixels share one.
+    """Over a whole run, with batches open and told in any order, a pixel's samples are the points of one sequence: the
+    reserved first ones by the pool, in turn, and those after by all else, each once. What the pool takes beyond its
+    reserve are the points of another, in turn. No two pixels share a scramble.
     """
     settings = {"radii": (1.0, 3.0), "batch": 170, "initial_spp": 2.0, **CONFIGS[name]}
     sampler = Sampler(23, 19, Budget(spp=9), Config(lookahead=lookahead, **settings), seed=4)
+    reserved = sampler._native.reserved
     indices, pixels = defaultdict(list), defaultdict(set)
 
     def note(batch: Batch) -> np.ndarray:
@@ -206,16 +208,43 @@ def test_indices_count_up(name: str, lookahead: int, renderers: SimpleNamespace,
 
     tools.shuffled(sampler, note, np.random.default_rng(lookahead))
     assert sum(map(len, indices.values())) == 9 * 23 * 19
-    assert all(sorted(used) == list(range(len(used))) for used in indices.values())
     assert all(len(owners) == 1 for owners in pixels.values())
-    pool = set(tools.pool_scramble(sampler).tolist())
-    adaptive = set(indices) - pool
-    assert len(pool) == 23 * 19  # so that no pixel's is another's
-    if name == "uniform":
-        assert not adaptive
-    else:
-        assert adaptive
-        assert len({owner for s in adaptive for owner in pixels[s]}) == len(adaptive)
+    first = set(tools.scrambles(sampler).tolist())
+    assert len(first) == 23 * 19  # so that no pixel's is another's
+    for scramble, used in indices.items():
+        limit = reserved if scramble in first else 0
+        pool, others = sorted(i for i in used if i < limit), sorted(i for i in used if i >= limit)
+        assert pool == list(range(len(pool)))
+        assert others == list(range(limit, limit + len(others)))
+    assert any(max(used) >= reserved for used in indices.values()) == (name != "uniform")
+
+
+@pytest.mark.parametrize("name", [name for name in CONFIGS if name != "uniform"])
+def test_the_reserve_is_what_the_pool_takes(name: str, renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
+    """So that all samples of most pixels are an unbroken stretch of one sequence: to a pass and a half."""
+    settings = {"radii": (1.0, 3.0), "batch": 340, "initial_spp": 2.0, **CONFIGS[name]}
+    sampler = Sampler(46, 38, Budget(spp=20), Config(**settings), seed=4)
+    count = 0
+    while not sampler.done:
+        batch = sampler.ask()
+        count += int(tools.from_pool(sampler, batch).sum())
+        sampler.tell(batch, renderers.textured(batch))
+    assert abs(sampler._native.reserved - count / (46 * 38)) <= 1.5
+
+
+def test_without_a_budget_of_samples_the_reserve_is_a_guess(renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
+    sampler = Sampler(20, 10, Budget(seconds=1e6), Config(initial_spp=0.0, pool_share=0.5), seed=4)
+    assert sampler._native.reserved == 16
+    indices: dict[bool, set[int]] = {True: set(), False: set()}
+    while sampler.spp < 60:
+        batch = sampler.ask()
+        first = batch.scramble == tools.scrambles(sampler)[batch.pixel]
+        for whether in (True, False):
+            indices[whether].update(batch.index[first == whether].tolist())
+        sampler.tell(batch, renderers.textured(batch))
+    assert indices[True] == set(range(max(indices[True]) + 1))
+    assert indices[False] == set(range(max(indices[False]) + 1))
+    assert len(indices[False]) > 5
 
 
 @pytest.mark.parametrize("name", ["default", "population", "unseen"])
@@ -223,11 +252,10 @@ def test_pool_goes_pass_by_pass(name: str, renderers: SimpleNamespace, tools: Si
     """After each batch every pixel has as many samples from the pool as every other, or one more."""
     settings = {"radii": (1.0, 3.0), "batch": 170, "initial_spp": 2.0, **CONFIGS[name]}
     sampler = Sampler(23, 19, Budget(spp=40), Config(lookahead=0, **settings), seed=4)
-    pool = tools.pool_scramble(sampler)
     count = np.zeros(23 * 19, int)
     while not sampler.done:
         batch = sampler.ask()
-        from_pool = batch.scramble == pool[batch.pixel]
+        from_pool = tools.from_pool(sampler, batch)
         count += np.bincount(batch.pixel[from_pool], minlength=len(count))
         assert count.max() - count.min() <= 1
         sampler.tell(batch, renderers.textured(batch))

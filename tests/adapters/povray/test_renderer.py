@@ -89,7 +89,7 @@ def test_noise_averages_to_povrays(make: Any, own_image: Any, noisy_text: str, b
 
 def test_the_batches_that_suit_it(make: Any, plain_text: str) -> None:
     small = make(plain_text, size=(20, 10))
-    assert config_for(small, {}) == Config(batch=400, lookahead=0, filter_radius=0.5)  # two samples a pixel
+    assert config_for(small, {}) == Config(batch=400, filter_radius=0.5)  # two samples a pixel
     result = render(small, 20, 10, Budget(spp=4), config_for(small, {}))
     assert result.samples == 800
 
