@@ -15,7 +15,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from pmc_sampler import Budget, Config, Sampler, _core, luminance
+from pmc_sampler import Budget, Config, Sampler, _core, limits, luminance
 
 from .references import Reference, key
 
@@ -24,7 +24,6 @@ VERSION = 1
 LARGEST_HALF = 65504.0
 """The largest float16; samples are stored in 16 bits where none is brighter, else in 32."""
 _CHUNK_BYTES = 2**20
-_DEFLATE_RATIO = 1032  # by more than this, deflate cannot compress
 _NUMBERS = ("sobol", "independent")
 
 
@@ -292,14 +291,9 @@ def _check_stored(stored: Any, head: Mapping[str, Any], file_bytes: int) -> None
     plain = stored.compression == "gzip" and stored.scaleoffset is None and stored.fletcher32
     if stored.is_virtual or stored.external or not plain or stored.chunks[1:] != shape[1:]:
         raise ValueError("its samples are not stored as `record` stores them")
-    need = stored.size * stored.dtype.itemsize
-    if need > _DEFLATE_RATIO * file_bytes:
-        raise ValueError(f"its head promises {need} bytes of samples, more than {file_bytes} bytes can hold")
+    limits.check("its head", stored.size * stored.dtype.itemsize, file_bytes)
     if stored.id.get_num_chunks() != -(-shape[0] // stored.chunks[0]):
         raise ValueError("some of its samples were never written")
-    memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    if need > memory:
-        raise ValueError(f"its samples take {need / 2**30:.1f} GiB of memory, and there are {memory / 2**30:.1f}")
 
 
 def _moments(samples: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pmc_sampler import Budget, Config, Sampler, luminance, scenes
+from pmc_sampler import Budget, Config, Sampler, luminance, npz, scenes
 from pmc_sampler.sampler import sampler_for
 
 SEED = 0x5EED_0000
@@ -292,25 +292,19 @@ def _sampler(inner: Path, radiance: Any, width: int, height: int, spp: int, seed
 
 
 def _save(path: Path, arrays: Mapping[str, Any], settings: Mapping[str, Any] | None = None) -> None:
-    partial = path.with_name(f".{path.name}.{os.getpid()}.part")
     contents = dict(arrays)
     if settings is not None:
         contents["settings"] = json.dumps(settings, sort_keys=True, default=str)
     try:
-        with partial.open("wb") as stream:
-            np.savez(stream, **contents)
-        os.replace(partial, path)
+        npz.write(path, contents)
     except OSError as error:
-        raise BadReferenceError(f"the reference {str(path)!r} cannot be written: {error.strerror}.") from error
-    finally:
-        partial.unlink(missing_ok=True)
+        raise BadReferenceError(f"the reference {str(path)!r} cannot be written: {error.strerror or error}.") from error
 
 
-def _read(path: Path) -> dict[str, Any]:
+def _read(path: Path) -> npz.Arrays:
     try:
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
-            return {name: data[name] for name in data.files}
+        return npz.read(path)
     except FileNotFoundError as error:
         raise BadReferenceError(f"there is no reference {str(path)!r}.") from error
-    except Exception as error:  # zip, header and decompression errors are of a dozen types
+    except (OSError, ValueError) as error:
         raise BadReferenceError(f"{str(path)!r} is damaged ({error}); delete it to render it anew.") from error

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import inspect
+import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,6 +16,7 @@ import numpy.typing as npt
 
 from pmc_sampler import _core, checkpoint
 from pmc_sampler.config import Budget, Config
+from pmc_sampler.deadline import Deadline
 from pmc_sampler.film import Film
 
 _DONE = (None, "spp", "seconds", "visible_noise")
@@ -71,6 +74,7 @@ class Sampler:
     seed: 0 to 2^64 - 1.
     aovs: channels after RGB that are averaged along, at most 64.
     threads: of the sampler's own work; None for one on each processor.
+    note: an attribute, a dictionary that JSON can hold: what the caller wants kept in checkpoints.
     signed: whether radiance may be negative, as a single sample of a spectral renderer is where its colour lies outside
         the gamut of RGB.
 
@@ -103,6 +107,7 @@ class Sampler:
         self.seed = _whole("seed", seed, 0, 2**64 - 1)
         self.aovs = _whole("aovs", aovs, 0, 64)
         self.signed = bool(signed)
+        self.note: dict[str, Any] = {}
         try:
             self._native = _core.Sampler(
                 self.width,
@@ -184,8 +189,17 @@ class Sampler:
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the first ask, those before a checkpoint that was loaded included."""
+        """Seconds since the first ask, those before a checkpoint that was loaded and of `add_elapsed` included."""
         return self._native.elapsed
+
+    def add_elapsed(self, seconds: float) -> None:
+        """Counts seconds that were spent before the first ask, such as a renderer's set-up: into the budget, too.
+
+        One batch is sampled at least, however short the budget.
+        """
+        if not 0.0 <= seconds < math.inf:
+            raise ValueError(f"the seconds that are added are {seconds!r}: expected a number from 0")
+        self._native.add_elapsed(float(seconds))
 
     @property
     def fraction(self) -> float:
@@ -197,39 +211,47 @@ class Sampler:
             used.append(self.elapsed / self.budget.seconds)
         return min(1.0, max(used))
 
-    def run(self, radiance: Radiance, progress: Progress | None = None) -> Result:
+    def run(self, radiance: Radiance, progress: Progress | None = None, timeout: float | None = None) -> Result:
         """Asks and tells until the budget is met; `progress(sampler)` is called after each batch.
 
         radiance: called with a Batch where it has an attribute `takes_batch` that is true, or its first parameter is
             named `batch` or annotated `Batch`; else with positions, (n, 2) float32. Where it raises, the batch is
             put back, so that what was told is kept and `run` can be called again.
+        timeout: seconds that it may take for a batch, in a thread of its own, before it is given up (see `Deadline`)
+            and TimeoutError raised; None waits for ever, in the caller's thread.
         """
         wants_batch = _takes_batch(radiance)
         start = time.perf_counter()
         in_renderer = in_sampler = 0.0
-        while not self.done:
-            batch = None
-            try:
-                t0 = time.perf_counter()
-                batch = self.ask()
-                t1 = time.perf_counter()
-                values = radiance(batch if wants_batch else batch.positions)
-                t2 = time.perf_counter()
-                self.tell(batch, values)
-            except BaseException:
-                if batch is not None and self._native.is_open(batch._native):
-                    self.put_back(batch)
-                raise
-            t3 = time.perf_counter()
-            in_renderer += t2 - t1
-            in_sampler += t1 - t0 + t3 - t2
-            if progress is not None:
-                progress(self)
+        with contextlib.ExitStack() as resources:
+            if timeout is not None:
+                radiance = resources.enter_context(contextlib.closing(Deadline(radiance, timeout)))
+            while not self.done:
+                batch = None
+                try:
+                    t0 = time.perf_counter()
+                    batch = self.ask()
+                    t1 = time.perf_counter()
+                    values = radiance(batch if wants_batch else batch.positions)
+                    t2 = time.perf_counter()
+                    self.tell(batch, values)
+                except BaseException:
+                    if batch is not None and self._native.is_open(batch._native):
+                        self.put_back(batch)
+                    raise
+                t3 = time.perf_counter()
+                in_renderer += t2 - t1
+                in_sampler += t1 - t0 + t3 - t2
+                if progress is not None:
+                    progress(self)
         seconds = {"total": time.perf_counter() - start, "renderer": in_renderer, "sampler": in_sampler}
         return Result(self.film, self.samples, self.spp, self.rejected, self.visible_noise, seconds, self.done)
 
     def save(self, path: str | Path) -> None:
-        """Writes everything that the batches to come depend on to one file, beside and then renamed."""
+        """Writes everything that the batches to come depend on, and `note`, to one file, beside and then renamed.
+
+        Raises OSError where it cannot be written; a file that was there before stays as it was.
+        """
         header = {
             "width": self.width,
             "height": self.height,
@@ -238,6 +260,7 @@ class Sampler:
             "seed": self.seed,
             "aovs": self.aovs,
             "signed": self.signed,
+            "note": self.note,
         }
         checkpoint.write(Path(path), header, self._native.save())
 
@@ -249,6 +272,7 @@ class Sampler:
         """
         header, blocks = checkpoint.read(Path(path))
         try:
+            _check_film(header, sum(block.nbytes for block in blocks.values()))
             sampler = cls(
                 header["width"],
                 header["height"],
@@ -260,7 +284,8 @@ class Sampler:
                 signed=header["signed"],
             )
             sampler._native.restore(blocks)
-        except (KeyError, TypeError, ValueError, RuntimeError) as error:
+            sampler.note = dict(header["note"])
+        except (KeyError, TypeError, ValueError, RuntimeError, MemoryError) as error:
             raise ValueError(f"cannot resume from {str(path)!r}: {error}") from error
         return sampler
 
@@ -273,6 +298,7 @@ def render(
     config: Config | None = None,
     seed: int = 0,
     progress: Progress | None = None,
+    timeout: float | None = None,
 ) -> Result:
     """Renders an image: a thin loop over `Sampler.ask` and `tell` that gives the same bits. Arguments as theirs.
 
@@ -284,7 +310,7 @@ def render(
         raise ValueError(
             f"the image is {width}x{height} and the renderer renders {made_for[0]}x{made_for[1]}: give both one size"
         )
-    return sampler_for(radiance, width, height, budget, config, seed).run(radiance, progress)
+    return sampler_for(radiance, width, height, budget, config, seed).run(radiance, progress, timeout)
 
 
 def sampler_for(
@@ -324,6 +350,14 @@ def _native_batch(batch: Batch) -> _core.Batch:
     if not isinstance(batch, Batch):
         raise TypeError(f"got {type(batch).__name__}: expected the Batch that ask returned")
     return batch._native
+
+
+def _check_film(header: Mapping[str, Any], stored: int) -> None:
+    """Raises ValueError where a checkpoint speaks of a larger film than it has bytes for: before one is made."""
+    sides = [_whole(name, header[name], 0, 2**32 - 1) for name in ("width", "height")]
+    need = sides[0] * sides[1] * (_core.film_bytes_per_pixel + 8 * _whole("aovs", header["aovs"], 0, 64))
+    if need > stored:
+        raise ValueError(f"an image of {sides[0]}x{sides[1]} takes {need} bytes of film, and it holds {stored}")
 
 
 def _whole(name: str, value: Any, low: int, high: int) -> int:

@@ -5,6 +5,7 @@ That a resumed sampler goes on to the same bits is tested in sampler/test_determ
 
 from __future__ import annotations
 
+import copy
 import io
 import json
 import os
@@ -13,6 +14,8 @@ import re
 import resource
 import subprocess
 import sys
+import tempfile
+import tracemalloc
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -185,7 +188,9 @@ def test_foreign_files(kind: str, tmp_path: Path) -> None:
         (header(lambda h: h.pop("version")), "is a checkpoint of version None"),
         (header(lambda h: h.update(format="x")), "its header is not a checkpoint's"),
         (header(lambda h: h.pop("width")), "cannot resume .* 'width'"),
-        (header(lambda h: h.update(width=50)), "cannot resume .* block 'film"),
+        (header(lambda h: h.update(width=40)), "cannot resume .* block 'film"),
+        (header(lambda h: h.update(width=65535, height=65535)), "cannot resume .* of 65535x65535 takes .* bytes of film"),
+        (header(lambda h: h.update(note=7)), "cannot resume"),
         (header(lambda h: h.update(width=0)), "cannot resume .* the image is 0x15"),
         (header(lambda h: h.update(width="20")), "cannot resume .* width is '20'"),
         (header(lambda h: h.update(aovs=2)), "cannot resume .* block 'film.aov_sums' holds 0 bytes, expected"),
@@ -249,6 +254,51 @@ def test_blocks_that_would_lead_outside_their_arrays(change: Any, sentence: str,
         Sampler.load(path)
 
 
+def npy(shape: str, data: bytes) -> bytes:
+    """A part of an archive whose header says what it likes."""
+    text = f"{{'descr': '|u1', 'fortran_order': False, 'shape': {shape}, }}\n".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text + data
+
+
+@pytest.mark.parametrize(
+    ("part", "compression", "sentence"),
+    [
+        (npy("(1000000000, 1000000000)", b""), zipfile.ZIP_STORED, "a part of 0 bytes should hold uint8 of shape"),
+        (npy("(-1, -1)", b"x"), zipfile.ZIP_STORED, "no whole pmc_sampler checkpoint"),
+        (npy("(0, 10**99)", b""), zipfile.ZIP_STORED, "no whole pmc_sampler checkpoint"),
+        (npy("__import__('os').getpid(),", b""), zipfile.ZIP_STORED, "no whole pmc_sampler checkpoint"),
+        (npy("(10000000,)", bytes(10**7)), zipfile.ZIP_DEFLATED, "it is compressed"),
+    ],
+    ids=["10^18 bytes", "negative", "empty and vast", "code", "a thousandfold"],
+)
+def test_archives_that_promise_too_much(part: bytes, compression: int, sentence: str, tmp_path: Path) -> None:
+    """Refused before memory is taken: 10 MB at the most were needed for the last."""
+    path = tmp_path / "bomb"
+    with zipfile.ZipFile(path, "w", compression) as archive:
+        archive.writestr("header.npy", part)
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match=sentence):
+            Sampler.load(path)
+        assert tracemalloc.get_traced_memory()[1] < 10**6
+    finally:
+        tracemalloc.stop()
+
+
+def test_parts_that_share_their_bytes(tmp_path: Path) -> None:
+    """A directory that names the same bytes over and over holds more than the file: refused by the sum."""
+    path = tmp_path / "bomb"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("header.npy", npy("(1000,)", bytes(1000)))
+        first = archive.filelist[0]
+        for k in range(50):
+            archive.filelist.append(copy.copy(first))
+            archive.filelist[-1].filename = f"{k}.npy"
+        archive._didModify = True
+    with pytest.raises(ValueError, match="its parts are larger than the file"):
+        Sampler.load(path)
+
+
 # --- Writing ---------------------------------------------------------------------------------------------------------
 def test_saving_changes_nothing(tmp_path: Path) -> None:
     sampler = half_done()
@@ -280,19 +330,24 @@ def test_nowhere_to_write(where: str, tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "folder") == []
 
 
-@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
-def test_a_folder_that_is_read_only(tmp_path: Path) -> None:
-    path = tmp_path / "state"
-    half_done().save(path)
-    before = path.read_bytes()
-    tmp_path.chmod(0o500)
-    try:
-        with pytest.raises(PermissionError, match="state"):
-            half_done().save(path)
-    finally:
-        tmp_path.chmod(0o700)
-    assert path.read_bytes() == before
-    assert os.listdir(tmp_path) == ["state"]
+def test_a_folder_that_is_read_only() -> None:
+    """Root may write anywhere, and so it becomes somebody else for the time."""
+    with tempfile.TemporaryDirectory() as name:  # not tmp_path, whose parents are closed to others
+        folder, user = Path(name), os.geteuid()
+        path = folder / "state"
+        half_done().save(path)
+        before = path.read_bytes()
+        folder.chmod(0o555)
+        if user == 0:
+            os.seteuid(65534)
+        try:
+            with pytest.raises(PermissionError, match="state"):
+                half_done().save(path)
+        finally:
+            os.seteuid(user)
+            folder.chmod(0o700)
+        assert path.read_bytes() == before
+        assert os.listdir(folder) == ["state"]
 
 
 def test_a_full_disk_leaves_the_old_file(saved: Path, tmp_path: Path) -> None:

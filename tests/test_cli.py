@@ -10,6 +10,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import types
 import warnings
 from collections.abc import Callable
@@ -240,6 +241,30 @@ def test_budgets(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -
     assert done[("--spp",)] == ("spp", 2.5)
 
 
+def test_seconds_include_the_set_up(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A clock that goes by hand says that loading took all of a budget: one batch is left, and a resumed one adds its
+    own. With a second less than a budget of days the render ends by its samples.
+    """
+    from pmc_sampler.cli import render as command
+
+    now = [0.0]
+    lamp()
+    load = adapters.load
+
+    def slow(*words: Any, **options: Any) -> Any:
+        now[0] += 1e6
+        return load(*words, **options)
+
+    monkeypatch.setattr(adapters, "load", slow)
+    monkeypatch.setattr(command, "time", types.SimpleNamespace(perf_counter=lambda: now[0]))
+    for seconds, spp, done in (("1e6", 1.0, "seconds"), ("2e6", 3.0, "spp")):
+        assert main(["render", "here", "--seconds", seconds, "--spp", "3", "--json"]) == 0
+        summary = json.loads(capsys.readouterr().out)
+        assert (summary["spp"], summary["done"], summary["seconds"]["setup"]) == (spp, done, 1e6)
+
+
 def test_extra_channels_become_layers(lamp: Callable[..., Any]) -> None:
     lamp(aovs=2)
     assert main(["render", "here", "--spp", "4", "-o", "a.exr"]) == 0
@@ -405,20 +430,16 @@ def test_an_interrupted_render_resumes_to_the_same_bits(
     assert "the same command goes on from state" in capsys.readouterr().err
     adaptive = 4096  # the first four batches give every pixel a sample each, the fifth is the least there is
     assert images.read("a.exr").layers["samples"].sum() == 4 * WIDTH * HEIGHT + (0 if hard else adaptive)
-    assert {"state", "state.json"} <= set(os.listdir(tmp_path))
+    assert {"state"} <= set(os.listdir(tmp_path))
     lamp()
     assert main([*words, "-o", "a.exr"]) == 0
     np.testing.assert_array_equal(images.read("a.exr").rgb, images.read("whole.exr").rgb)
-    assert not {"state", "state.json"} & set(os.listdir(tmp_path))
+    assert not {"state"} & set(os.listdir(tmp_path))
 
 
-def test_checkpoints_are_written_by_time(
-    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("chosen", [True, False], ids=["chosen", "by itself"])
+def test_checkpoints_are_written_by_time(chosen: bool, lamp: Callable[..., Any], tmp_path: Path) -> None:
     """A process that is killed loses what came after the last one: here, with no time between, one batch."""
-    import pmc_sampler.cli.render as command
-
-    monkeypatch.setattr(command, "CHECKPOINT_SECONDS", -1.0)
 
     class Killed(BaseException):
         pass
@@ -427,17 +448,101 @@ def test_checkpoints_are_written_by_time(
         if calls == 4:
             raise Killed
 
-    words = ["render", "here", "--spp", "12", "--checkpoint", "state", "-o", "a.exr"]
+    words = ["render", "here", "--spp", "12", "--checkpoint-every", "1e-9", "-o", "a.exr"]
+    words += ["--checkpoint", "state"] if chosen else []
     lamp(before=before)
     with pytest.raises(Killed):
         main(words)
-    assert not (tmp_path / "a.exr").exists()
-    state = pmc_sampler.Sampler.load(tmp_path / "state")
+    kept = tmp_path / ("state" if chosen else "a.exr.checkpoint")
+    assert os.listdir(tmp_path) == [kept.name]
+    state = pmc_sampler.Sampler.load(kept)
     assert state.samples == 4 * WIDTH * HEIGHT
+    left = kept.with_name(f"{kept.name}.x.part")  # as by one that is killed while it writes
+    left.touch()
     lamp()
     assert main(words) == 0
     film = render(Lamp(), WIDTH, HEIGHT, Budget(spp=12)).film
     np.testing.assert_array_equal(images.read("a.exr").rgb, film.mean)
+    assert sorted(os.listdir(tmp_path)) == ["a.exr", "a.png"]
+
+
+def test_a_short_render_keeps_no_state_by_itself(lamp: Callable[..., Any], tmp_path: Path) -> None:
+    lamp(before=interrupt_at(2))
+    assert main(["render", "here", "--spp", "9"]) == 130
+    assert sorted(os.listdir(tmp_path)) == ["here.exr", "here.png"]
+
+
+def test_a_checkpoint_that_cannot_be_written_ends_no_render(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A disk that is full for three batches of five: each is told of, the older state stays, the image is the same."""
+    fsync, calls = os.fsync, []
+
+    def full(file: int) -> None:
+        calls.append(file)
+        if 2 <= len(calls) <= 4:
+            raise OSError(28, "No space left on device")
+        fsync(file)
+
+    kept: list[int] = []
+
+    def before(calls: int) -> None:
+        if calls:
+            kept.append(pmc_sampler.Sampler.load(tmp_path / "state").samples // (WIDTH * HEIGHT))
+
+    lamp(before=before)
+    monkeypatch.setattr(os, "fsync", full)
+    words = ["render", "here", "--method", "pt", "--spp", "6", "--checkpoint-every", "1e-9", "--checkpoint", "state"]
+    assert main(words) == 0
+    err = capsys.readouterr().err
+    assert err.count("warning: the checkpoint 'state' cannot be written: No space left on device; rendering goes on") == 3
+    assert kept == [1, 1, 1, 1, 5]
+    assert images.read("here.exr").layers["samples"].min() == 6
+
+
+def test_an_image_that_cannot_be_written_is_kept_as_state(
+    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same command, once there is room, writes it without rendering anything."""
+    lamp()
+    replace = os.replace
+
+    def full(source: Any, target: Any) -> None:
+        if str(target).endswith(".exr"):
+            raise OSError(28, "No space left on device")
+        replace(source, target)
+
+    words = ["render", "here", "--spp", "3"]
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", full)
+        assert main(words) == 1
+    err = capsys.readouterr().err
+    assert "No space left on device; the same command goes on from here.exr.checkpoint." in err
+    assert os.listdir(tmp_path) == ["here.exr.checkpoint"]
+
+    def never(batch: int) -> None:
+        pytest.fail("a sample was rendered again")
+
+    lamp(before=never)
+    assert main(words) == 0
+    np.testing.assert_array_equal(images.read("here.exr").rgb, render(Lamp(), WIDTH, HEIGHT, Budget(spp=3)).film.mean)
+    assert sorted(os.listdir(tmp_path)) == ["here.exr", "here.png"]
+
+
+def test_a_state_whose_settings_are_not_what_was_noted_is_refused(
+    lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The note may say what it likes: what would be rendered counts."""
+    lamp(before=interrupt_at(1))
+    words = ["render", "here", "--spp", "12", "--checkpoint", "state"]
+    assert main(words) == 130
+    note = pmc_sampler.Sampler.load(tmp_path / "state").note
+    other = pmc_sampler.Sampler(WIDTH, HEIGHT, Budget(spp=12), Config(batch=2**31), seed=0)
+    other.note = note
+    other.save(tmp_path / "state")
+    lamp()
+    assert main(words) == 2
+    assert "of another render: config was" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -510,6 +615,90 @@ def test_a_renderer_that_fails_leaves_what_was_sampled(
     assert "here.exr holds the 3 samples per pixel until then" in err
     assert metadata("here.exr")["done"] == "failed"
     assert images.read("here.exr").layers["samples"].sum() == 3 * WIDTH * HEIGHT
+
+
+class Mute:
+    """What is no radiance."""
+
+
+@pytest.mark.parametrize(
+    ("answer", "sentence"),
+    [
+        (lambda values: values[:-1], "got radiance of shape"),
+        (lambda values: values[:, :2], "got radiance of shape"),
+        (lambda values: None, "got radiance of shape ()"),
+        (lambda values: Mute(), "got radiance of shape ()"),
+        (lambda values: values.astype(int), "got radiance of type int64"),
+        (lambda values: values * np.nan, "samples of batch 3 are NaN"),
+    ],
+    ids=["short", "narrow", "None", "object", "integers", "NaN"],
+)
+def test_a_renderer_that_answers_amiss_leaves_what_was_sampled(
+    answer: Callable[[np.ndarray], Any],
+    sentence: str,
+    lamp: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    honest = Lamp.__call__
+
+    def sick(self: Lamp, batch: Any) -> Any:
+        values = honest(self, batch)
+        return answer(values) if self.calls == 4 else values
+
+    lamp()
+    words = ["render", "here", "--spp", "9", "--checkpoint", "state"]
+    with monkeypatch.context() as patch:
+        patch.setattr(Lamp, "__call__", sick)
+        assert main(words) == 1
+    err = capsys.readouterr().err
+    assert sentence in err
+    assert "here.exr holds the 3 samples per pixel until then; the same command goes on from state." in err
+    assert main(words) == 0
+    np.testing.assert_array_equal(images.read("here.exr").rgb, render(Lamp(), WIDTH, HEIGHT, Budget(spp=9)).film.mean)
+
+
+def test_a_renderer_that_hangs_is_given_up(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:
+    """It answers once the test lets it; the time-out is long beside what a batch of a Lamp takes."""
+    go_on = threading.Event()
+
+    def before(calls: int) -> None:
+        if calls == 3:
+            go_on.wait()
+
+    words = ["render", "here", "--spp", "9", "--checkpoint", "state", "--timeout"]
+    lamp(before=before)
+    try:
+        assert main([*words, "1"]) == 1
+    finally:
+        go_on.set()
+    err = capsys.readouterr().err
+    assert "rendering failed: the renderer gave no answer within 1 s. here.exr holds the 3 samples per pixel" in err
+    lamp()
+    assert main([*words, "60"]) == 0
+    np.testing.assert_array_equal(images.read("here.exr").rgb, render(Lamp(), WIDTH, HEIGHT, Budget(spp=9)).film.mean)
+
+
+def test_a_hung_renderer_does_not_keep_the_process(tmp_path: Path) -> None:
+    """A thread that never ends, and work at the interpreter's end that waits for it: the command ends by itself."""
+    program = f"""
+import atexit, sys, threading
+sys.path.insert(0, {str(Path(__file__).parent)!r})
+from pmc_sampler import adapters
+from pmc_sampler.cli import main
+from test_cli import Lamp
+never = threading.Event()
+def before(calls):
+    if calls == 1:
+        atexit.register(never.wait)
+        never.wait()
+adapters.load = lambda *words, **options: Lamp(before=before)
+sys.argv[1:] = ["render", "here", "--spp", "9", "--timeout", "1"]
+sys.exit(main())
+"""
+    done = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=100)
+    assert (done.returncode, "holds the 1 samples per pixel" in done.stderr) == (1, True), done.stderr
+    assert sorted(os.listdir(tmp_path)) == ["here.exr", "here.png"]
 
 
 def test_a_failed_render_resumes_too(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -> None:

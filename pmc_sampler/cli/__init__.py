@@ -5,6 +5,8 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 
+from pmc_sampler import deadline
+
 from .arguments import parse
 from .errors import CommandError, plain_warnings
 
@@ -19,17 +21,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parse(arguments)
     try:
         with plain_warnings(options.command):
-            return _run(options.command)(options)
+            status = _run(options.command)(options)
     except CommandError as error:
         print(f"pmc-sampler {options.command}: {error}", file=sys.stderr)
-        return error.status
+        status = error.status
     except KeyboardInterrupt:
         print(f"pmc-sampler {options.command}: interrupted, nothing was written.", file=sys.stderr)
-        return 130
+        status = 130
     except BrokenPipeError:
         # Whoever read our output has gone; Python must not fail again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        status = 1
+    if arguments is None and deadline.hung():
+        # What a library does at the interpreter's end may wait for a renderer that never answers.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)
+    return status
 
 
 def _run(command: str) -> Callable[[argparse.Namespace], int]:

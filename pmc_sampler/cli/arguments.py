@@ -86,7 +86,7 @@ def _render(p: argparse.ArgumentParser) -> None:
         metavar="N",
         help=f"samples per pixel; default {DEFAULT_SPP} if no budget is given",
     )
-    p.add_argument("--seconds", type=positive, metavar="S", help="stop after S seconds")
+    p.add_argument("--seconds", type=positive, metavar="S", help="stop after S seconds, set-up included")
     p.add_argument(
         "--visible-noise",
         type=share,
@@ -99,7 +99,21 @@ def _render(p: argparse.ArgumentParser) -> None:
         "--checkpoint",
         type=Path,
         metavar="FILE",
-        help="save the state to FILE every minute and when interrupted; resume from it if it exists",
+        help="save the state to FILE when interrupted, too, and resume from it if it exists; default: OUT.exr.checkpoint, "
+        "once a render has taken longer than --checkpoint-every",
+    )
+    p.add_argument(
+        "--checkpoint-every",
+        type=positive,
+        default=60.0,
+        metavar="S",
+        help="seconds from one checkpoint to the next; default: %(default)g",
+    )
+    p.add_argument(
+        "--timeout",
+        type=positive,
+        metavar="S",
+        help="give up where the renderer takes longer than S seconds for a batch, and write what there is",
     )
     p.add_argument(
         "--scheduler", metavar="ADDRESS", help="of a Dask cluster that traces the batches, as tcp://HOST:8786"

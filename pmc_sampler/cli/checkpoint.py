@@ -1,10 +1,12 @@
-"""The checkpoint of a render: the sampler's state, and beside it what was being rendered.
+"""The checkpoint of a render: the sampler's state, and in it what was being rendered.
 
 The state knows its own settings, seed and budget, but not the scene; resuming another scene's state would
-mix two images without a sign. So ``FILE.json`` holds what the command line asked for, and a checkpoint is
+mix two images without a sign. So its note holds what the command line asked for, and a checkpoint is
 taken up only for the same.
 """
 
+import contextlib
+import glob
 import json
 import os
 from collections.abc import Mapping
@@ -19,15 +21,16 @@ from .errors import CommandError
 
 @dataclass
 class Checkpoint:
-    """Where the state is kept; ``identity`` names what is rendered, ``seconds`` what it has taken."""
+    """Where the state is kept; ``identity`` names what is rendered, ``seconds`` what it has taken.
+
+    chosen: whether the user named the file; else it is made once a render has taken ``every`` seconds.
+    """
 
     path: Path
     identity: Mapping[str, Any]
+    chosen: bool
+    every: float
     seconds: dict[str, float] = field(default_factory=dict)
-
-    @property
-    def _note(self) -> Path:
-        return self.path.with_name(self.path.name + ".json")
 
     def check_writable(self) -> None:
         """Raise :class:`CommandError` where no file can be made at the path."""
@@ -50,10 +53,12 @@ class Checkpoint:
         if not self.path.exists():
             return None
         try:
-            note = json.loads(self._note.read_text(encoding="utf-8"))
-            then, seconds = note["identity"], {name: float(s) for name, s in note["seconds"].items()}
             sampler = Sampler.load(self.path)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError, RuntimeError) as error:
+            then, seconds = sampler.note["identity"], sampler.note["seconds"]
+            self.seconds = {name: float(s) for name, s in seconds.items()}
+            # What the state itself says goes before what was noted of it: that is what would be rendered.
+            then = dict(then) | _own(sampler)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
             raise CommandError(
                 f"the checkpoint {str(self.path)!r} cannot be read ({error}); delete it to begin anew."
             ) from error
@@ -63,27 +68,31 @@ class Checkpoint:
             name = differing[0]
             raise CommandError(
                 f"the checkpoint {str(self.path)!r} is of another render: {name} was "
-                f"{then.get(name)!r} and is now {now[name]!r}; give the same options, or another file."
+                f"{then.get(name)!r} and is now {now[name]!r}; give the same options, another file, or delete it."
             )
-        self.seconds = seconds
         return sampler
 
     def save(self, sampler: Sampler, seconds: Mapping[str, float]) -> None:
         """Save the state, and the ``seconds`` that were spent on it."""
-        note = {"identity": self.identity, "seconds": dict(seconds)}
-        partial = self._note.with_name(f".{self._note.name}.{os.getpid()}.part")
+        sampler.note = {"identity": self.identity, "seconds": dict(seconds)}
         try:
-            partial.write_text(json.dumps(note), encoding="utf-8")
-            os.replace(partial, self._note)
             sampler.save(self.path)
         except OSError as error:
             raise CommandError(
-                f"the checkpoint {str(self.path)!r} cannot be written: {error.strerror}.", status=1
+                f"the checkpoint {str(self.path)!r} cannot be written: {error.strerror or error}.", status=1
             ) from error
-        finally:
-            partial.unlink(missing_ok=True)
 
     def remove(self) -> None:
-        """Delete the checkpoint: what it was for is finished."""
-        self.path.unlink(missing_ok=True)
-        self._note.unlink(missing_ok=True)
+        """Delete the checkpoint, for what it was for is finished, and what a process that was killed left beside it."""
+        for left in (self.path, *self.path.parent.glob(f"{glob.escape(self.path.name)}.*.part")):
+            with contextlib.suppress(OSError):
+                left.unlink(missing_ok=True)
+
+
+def _own(sampler: Sampler) -> dict[str, Any]:
+    return {
+        "seed": sampler.seed,
+        "size": [sampler.width, sampler.height],
+        "budget": vars(sampler.budget),
+        "config": sampler.config.to_dict(),
+    }

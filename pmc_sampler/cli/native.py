@@ -15,6 +15,8 @@ _NOT_FOR_IT = {
     "visible_noise": None,
     "config": None,
     "checkpoint": None,
+    "checkpoint_every": 60.0,
+    "timeout": None,
     "scheduler": None,
     "seed": 0,
 }  # options with their defaults: the renderer chooses its samples by itself

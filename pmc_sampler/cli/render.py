@@ -6,13 +6,14 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from pmc_sampler import Sampler
+from pmc_sampler.deadline import Deadline
 from pmc_sampler.sampler import sampler_for
 
 from . import settings
@@ -24,7 +25,6 @@ from .output import Output, report
 from .progress import Report, progress
 from .renderer import load_renderer
 
-CHECKPOINT_SECONDS = 60.0
 INTERRUPTED = 130
 NOT_YET = {"setup": 0.0, "total": 0.0, "renderer": 0.0, "sampler": 0.0}
 
@@ -33,42 +33,44 @@ NOT_YET = {"setup": 0.0, "total": 0.0, "renderer": 0.0, "sampler": 0.0}
 class Job:
     """A render under way: who traces, who samples, where the state is kept and the time that was spent.
 
+    trace: calls ``radiance``, or gives it up where it takes too long.
     seconds: "setup", until the first sample could be drawn; "total", from then on, and of that in the "renderer" and in
     the "sampler".
     """
 
     radiance: Any
+    trace: Callable[[Any], Any]
     sampler: Sampler
-    checkpoint: Checkpoint | None
+    checkpoint: Checkpoint
     seconds: dict[str, float] = field(default_factory=lambda: dict(NOT_YET))
 
     def save(self) -> None:
-        """Save the state, if the user wants it saved."""
-        if self.checkpoint is not None:
-            self.checkpoint.save(self.sampler, self.seconds)
+        """Save the state."""
+        self.checkpoint.save(self.sampler, self.seconds)
 
 
 def render(options: argparse.Namespace) -> int:
     """Render, write and report; returns the exit status."""
+    began = time.perf_counter()
     with ExitStack() as resources:
-        return _render(options, resources)
+        return _render(options, resources, began)
 
 
-def _render(options: argparse.Namespace, resources: ExitStack) -> int:
+def _render(options: argparse.Namespace, resources: ExitStack, began: float) -> int:
     options.renderer = options.renderer or renderer_for(options.scene)
     if options.method == NATIVE:
         return native(options)
     output = Output(options)
     failure: CommandError | None = None
     with progress(f"{options.scene}, {options.method}") as shown:
-        began = time.perf_counter()
-        with (
-            _stop_asked() as asked
-        ):  # an interrupt in the middle of a renderer's import would end in that renderer's traceback
-            job = _job(options, resources)
+        # An interrupt in the middle of a renderer's import would end in that renderer's traceback.
+        with _stop_asked("stopping before the first batch") as asked:
+            job = _job(options, output, resources)
         if asked():
             raise CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
-        job.seconds["setup"] += time.perf_counter() - began
+        setup = time.perf_counter() - began
+        job.seconds["setup"] += setup
+        job.sampler.add_elapsed(setup)
         try:
             finished = _run(job, shown)
         except Exception as error:  # whatever a renderer raises: what was sampled is worth keeping
@@ -76,12 +78,18 @@ def _render(options: argparse.Namespace, resources: ExitStack) -> int:
             finished, failure = False, CommandError(f"rendering failed: {text.rstrip('.')}.", status=1)
     if not job.sampler.samples:
         raise failure or CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
-    kept = "" if finished else _keep(job)
-    ended = job.sampler.done if finished else "interrupted" if failure is None else "failed"
-    report(output.write(job.sampler, job.radiance, job.seconds, ended), options.json)
-    if finished:
-        if job.checkpoint is not None:
+    with _stop_asked("what there is is being written"):
+        kept = "" if finished else _keep(job)
+        ended = job.sampler.done if finished else "interrupted" if failure is None else "failed"
+        try:
+            summary = output.write(job.sampler, job.radiance, job.seconds, ended)
+        except CommandError as error:
+            kept = kept or _keep(job, whatever=True)
+            raise CommandError(f"{str(error).rstrip('.')}{kept}.", error.status) from error
+        if finished:
             job.checkpoint.remove()
+    report(summary, options.json)
+    if finished:
         return 0
     why = "interrupted." if failure is None else str(failure)
     raise CommandError(
@@ -90,44 +98,50 @@ def _render(options: argparse.Namespace, resources: ExitStack) -> int:
     )
 
 
-def _keep(job: Job) -> str:
-    """Save the state of what was not finished, and say what the user can do with it."""
-    if job.checkpoint is None:
+def _keep(job: Job, whatever: bool = False) -> str:
+    """Save the state of what was not finished, and say what the user can do with it.
+
+    What took a moment and is kept nowhere yet is not, unless the user or `whatever` wants it.
+    """
+    point = job.checkpoint
+    if not (whatever or point.chosen or point.path.exists() or job.seconds["total"] > point.every):
         return ""
     try:
         job.save()
     except CommandError as error:
         return f"; {str(error).rstrip('.')}"
-    return f"; the same command goes on from {job.checkpoint.path}"
+    return f"; the same command goes on from {point.path}"
 
 
-def _job(options: argparse.Namespace, resources: ExitStack) -> Job:
+def _job(options: argparse.Namespace, output: Output, resources: ExitStack) -> Job:
     budget = settings.budget(options)
     settings.config(options.method, options.config)  # a mistake in it shows before the scene is loaded
-    radiance = load_renderer(options, dict(options.settings))
+    radiance = trace = load_renderer(options, dict(options.settings))
     if options.scheduler is not None:
         resources.enter_context(radiance)
+    if options.timeout is not None:
+        trace = resources.enter_context(closing(Deadline(radiance, options.timeout)))
     config = settings.config(options.method, options.config, radiance)
-    checkpoint = None
-    if options.checkpoint is not None:
-        identity = {
-            **{name: getattr(options, name) for name in ("scene", "renderer", "sampler", "seed")},
-            "contents of the scene": _contents(options.scene),
-            "settings of the renderer": [options.device, options.settings, options.own_options],
-            "size": [radiance.width, radiance.height],
-            "budget": vars(budget),
-            "config": config.to_dict(),
-        }
-        checkpoint = Checkpoint(options.checkpoint, identity)
-        checkpoint.check_writable()
-        resumed = checkpoint.resume()
-        if resumed is not None:
-            return Job(radiance, resumed, checkpoint, NOT_YET | checkpoint.seconds)
+    identity = {
+        **{name: getattr(options, name) for name in ("scene", "renderer", "sampler", "seed")},
+        "contents of the scene": _contents(options.scene),
+        "settings of the renderer": [options.device, options.settings, options.own_options],
+        "size": [radiance.width, radiance.height],
+        "budget": vars(budget),
+        "config": config.to_dict(),
+    }
+    chosen = options.checkpoint is not None
+    path = options.checkpoint if chosen else output.exr.with_name(f"{output.exr.name}.checkpoint")
+    checkpoint = Checkpoint(path, identity, chosen, options.checkpoint_every)
+    checkpoint.check_writable()
+    resumed = checkpoint.resume()
+    if resumed is not None:
+        return Job(radiance, trace, resumed, checkpoint, NOT_YET | checkpoint.seconds)
     try:
         sampler = sampler_for(radiance, radiance.width, radiance.height, budget, config, options.seed)
     except (ValueError, TypeError, MemoryError) as error:
         raise CommandError(str(error)) from error
-    return Job(radiance, sampler, checkpoint)
+    return Job(radiance, trace, sampler, checkpoint)
 
 
 def _contents(scene: str) -> str:
@@ -140,12 +154,12 @@ def _run(job: Job, shown: Report) -> bool:
     sampler, seconds, before = job.sampler, job.seconds, job.seconds["total"]
     began = saved = time.perf_counter()
     try:
-        with _stop_asked() as asked:
+        with _stop_asked("stopping after this batch") as asked:
             while not sampler.done:
                 start = time.perf_counter()
                 batch = sampler.ask()
                 drawn = time.perf_counter()
-                values = job.radiance(batch)
+                values = job.trace(batch)
                 rendered = time.perf_counter()
                 sampler.tell(batch, values)
                 told = time.perf_counter()
@@ -155,17 +169,26 @@ def _run(job: Job, shown: Report) -> bool:
                 shown(sampler.fraction, f"{sampler.spp:.3g} spp")
                 if asked():
                     return bool(sampler.done)
-                if told - saved > CHECKPOINT_SECONDS:
-                    job.save()
+                if told - saved > job.checkpoint.every:
+                    _save_meanwhile(job)
                     saved = time.perf_counter()
     except KeyboardInterrupt:
         return False
     return True
 
 
+def _save_meanwhile(job: Job) -> None:
+    """Save the state; where that fails, the older one stays, and the render is worth more than a newer one."""
+    try:
+        job.save()
+    except CommandError as error:
+        again = f"rendering goes on, and tries again in {job.checkpoint.every:g} s"
+        print(f"pmc-sampler render: warning: {str(error).rstrip('.')}; {again}.", file=sys.stderr)
+
+
 @contextmanager
-def _stop_asked() -> Iterator[Callable[[], bool]]:
-    """Whether Ctrl-C or a termination signal came; the batch in work is finished first.
+def _stop_asked(answer: str) -> Iterator[Callable[[], bool]]:
+    """Whether Ctrl-C or a termination signal came; what is under way is finished first, as `answer` tells the user.
 
     A second signal does not wait: it raises KeyboardInterrupt wherever the program is.
     """
@@ -176,7 +199,7 @@ def _stop_asked() -> Iterator[Callable[[], bool]]:
         if came:
             raise KeyboardInterrupt
         came = True
-        print("\nstopping after this batch; once more stops now.", file=sys.stderr)
+        print(f"\n{answer}; once more stops now.", file=sys.stderr)
 
     before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:

@@ -155,6 +155,7 @@ NB_MODULE(_core, m) {
             return s.total() == pmc::Sampler::unlimited ? nb::none() : nb::object(nb::int_(s.total()));
         })
         .def_prop_ro("elapsed", [](Sampler& s) { return s.alone([&] { return s.elapsed(); }); })
+        .def("add_elapsed", [](Sampler& s, double seconds) { s.alone([&] { s.add_elapsed(seconds); }); })
         .def("visible_noise", [](Sampler& s) { return s.alone([&] { return s.film().visible_noise(s.threads()); }); })
         .def("mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::corrected_mean(f, s.config, o, s.threads()); }); })
         .def("plain_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::plain_mean(f, o, s.threads()); }); })

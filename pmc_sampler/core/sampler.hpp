@@ -117,9 +117,12 @@ public:
     // Why sampling is over, once it is.
     Done done() {
         if (done_ == Done::no && film_.samples + rejected_ >= total_) done_ = Done::spp;
-        if (done_ == Done::no && elapsed() >= budget.seconds) done_ = Done::seconds;
+        if (done_ == Done::no && told_ > 0 && elapsed() >= budget.seconds) done_ = Done::seconds;  // one batch at least
         return done_;
     }
+
+    // Seconds that count as elapsed though nothing was asked in them, such as the renderer's set-up.
+    void add_elapsed(double seconds) { elapsed_before_ += seconds; }
 
     const Film& film() const { return film_; }
     const AlphaMemory& alpha() const { return memory_; }
@@ -128,7 +131,7 @@ public:
     std::uint64_t rejected() const { return rejected_; }
     std::uint64_t total() const { return total_; }
     static constexpr std::uint64_t unlimited = ~0ull;
-    // Seconds since the first ask, those before a restored checkpoint included.
+    // Seconds since the first ask, those before a restored checkpoint and those of add_elapsed included.
     double elapsed() const {
         return elapsed_before_ + (started_ ? std::chrono::duration<double>(Clock::now() - *started_).count() : 0.0);
     }
