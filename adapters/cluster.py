@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import importlib
 import pickle
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,9 @@ from pmc_sampler import cluster
 
 __all__ = ["ClusterRenderer"]
 
+PATIENCE = 60.0
+"""Seconds in which another worker may come where none is left."""
+_LOOK = 2.0  # seconds from one look at the workers to the next
 _SMALLEST = 4096  # samples, below which a worker is not worth the way
 _DESCRIBED = ("width", "height", "aovs", "aov_names", "signed", "filter")
 
@@ -27,8 +31,8 @@ class ClusterRenderer:
     the renderer that the sampler asks for, such as `width`, `height` and `filter`. A context manager: it leaves the
     cluster at its end.
 
-    Raises `pmc_sampler.cluster.ClusterError` where there is no cluster or it has no workers, and what the renderer
-    raises for the scene.
+    Raises `pmc_sampler.cluster.ClusterError` where there is no cluster or it has no workers, or loses them all while
+    it traces, and what the renderer raises for the scene.
     """
 
     takes_batch = True
@@ -56,7 +60,31 @@ class ClusterRenderer:
         arrays = (batch.positions, batch.pixel, batch.index, batch.scramble)
         parts = zip(*(np.array_split(array, pieces) for array in arrays), strict=True)
         traced = [self._client.submit(_trace, self._made, *part, pure=False) for part in parts]
-        return np.concatenate(self._client.gather(traced))
+        try:
+            self._wait(traced)
+            return np.concatenate(self._client.gather(traced))
+        except BaseException:  # an interrupt as well: the workers need not go on
+            self._client.cancel(traced)
+            raise
+
+    def _wait(self, traced: Any) -> None:
+        """Until all are traced; Dask by itself would wait for ever where no worker is left.
+
+        Raises ClusterError then, and where the scheduler has gone.
+        """
+        distributed = importlib.import_module("distributed")
+        missing = 0
+        while True:
+            try:
+                with self._client.as_current():
+                    distributed.wait(traced, timeout=_LOOK)
+                return
+            except TimeoutError:
+                missing = 0 if self._client.status == "running" and self._client.ncores() else missing + 1
+            if missing * _LOOK > PATIENCE:
+                raise cluster.ClusterError(
+                    f"no worker of the Dask cluster is left, and none came within {PATIENCE:g} s"
+                )
 
     def __enter__(self) -> ClusterRenderer:
         return self

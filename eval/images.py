@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pmc_sampler import limits
+
 from .display import display, srgb_decode
 
 READABLE = (".exr", ".hdr", ".pfm", ".png", ".tif", ".tiff", ".jpg", ".jpeg")
@@ -165,7 +167,11 @@ def _open(source: Path) -> tuple[dict[str, NDArray[np.float32]], Any]:
     if stream is None:
         raise ImageError(f"{str(source)!r} cannot be read as an image: {oiio.geterror().strip()}.")
     spec = stream.spec()
-    pixels = stream.read_image(oiio.FLOAT)
+    try:
+        limits.check(f"the image {str(source)!r}", spec.image_bytes(True), source.stat().st_size)
+        pixels = stream.read_image(oiio.FLOAT)
+    except (ValueError, MemoryError) as error:
+        raise ImageError(f"{error or 'there is too little memory'}; name another file than {str(source)!r}.") from error
     failure = stream.geterror().strip()
     stream.close()
     if pixels is None:

@@ -177,8 +177,10 @@ def load(path: str | os.PathLike[str]) -> Results:
     folder = Folder(path)
     try:
         ids = json.loads((folder.path / "plan.json").read_text(encoding="utf-8"))["ids"]
+        if not isinstance(ids, list) or not all(isinstance(one, str) and one == os.path.basename(one) for one in ids):
+            raise ValueError("its plan names other files than its own")
         suite = read(folder.path / "suite.toml")
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise BadResultsError(
             f"{str(path)!r} holds no results of a benchmark ({error}); `pmc-sampler bench -o {path}` makes them."
         ) from error

@@ -24,6 +24,8 @@ _OF_SCENES = {"size", "spp", "seconds", "renderer", "reference_spp", "reference_
 _SCENE = {"name", "file", "recording", "options"} | _OF_SCENES
 _METHOD = {"name", "numbers", "config", "sweep", "scenes", "on"}
 _NUMBERS = ("sobol", "independent")
+LARGEST = 100_000
+"""Runs of a suite, and methods of a sweep, at most."""
 
 
 class BadSuiteError(ValueError):
@@ -219,12 +221,15 @@ def parse(given: Mapping[str, Any], folder: Path = Path()) -> Suite:
         raise BadSuiteError(f"metrics is {wanted!r}: expected a list of names, of {', '.join(measures.MEASURES)}")
     for metric in wanted:
         _one_of("a metric", metric, list(measures.MEASURES))
+    seeds = _whole(given, "seeds", 1, "the suite")
+    if seeds * len(methods) * sum(len(scene.budgets) for scene in parsed) > LARGEST:
+        raise BadSuiteError(f"the suite has more than {LARGEST} runs: expected fewer seeds, methods or budgets")
     return Suite(
         name,
         _text(given, "about", "the suite"),
         parsed,
         methods,
-        _whole(given, "seeds", 1, "the suite"),
+        seeds,
         baseline,
         tuple(wanted),
         _positive("white_luminance", given.get("white_luminance", 100.0), "the suite"),
@@ -293,13 +298,26 @@ def _methods(table: Mapping[str, Any], folder: Path) -> Iterator[Method]:
     sweep = table.get("sweep", {})
     if not isinstance(sweep, Mapping) or not all(isinstance(values, list) and values for values in sweep.values()):
         raise BadSuiteError(f"{what}: sweep is {sweep!r}: expected a table with a list of values for each setting")
+    if math.prod(len(values) for values in sweep.values()) > LARGEST:
+        raise BadSuiteError(f"{what}: its sweep has more than {LARGEST} combinations of values: expected fewer")
     for values in itertools.product(*sweep.values()):
         chosen = dict(zip(sweep, values, strict=True))
-        try:
-            name = pattern.format(**chosen)
-        except (KeyError, IndexError, ValueError) as error:
-            raise BadSuiteError(f"{what}: the name may hold {{setting}} for a setting of its sweep alone.") from error
+        name = _filled_in(pattern, chosen, what)
         yield Method(name, {**settings, **chosen}, numbers, None if limited is None else tuple(limited), {**on})
+
+
+def _filled_in(pattern: str, values: Mapping[str, Any], what: str) -> str:
+    """A pattern with its ``{setting}``s filled in. Not by ``str.format``, whose fields may be as wide as they like."""
+
+    def fill(match: re.Match[str]) -> str:
+        found = match[0]
+        if found in ("{{", "}}"):
+            return found[0]
+        if found[1:-1] not in values:
+            raise BadSuiteError(f"{what}: the name may hold {{setting}} for a setting of its sweep alone.")
+        return str(values[found[1:-1]])
+
+    return re.sub(r"\{\{|\}\}|\{[^{}]*\}|[{}]", fill, pattern)
 
 
 def _frozen(value: Any) -> Any:

@@ -284,7 +284,7 @@ class Sampler:
                 signed=header["signed"],
             )
             sampler._native.restore(blocks)
-            sampler.note = dict(header["note"])
+            sampler.note = dict(header.get("note", {}))
         except (KeyError, TypeError, ValueError, RuntimeError, MemoryError) as error:
             raise ValueError(f"cannot resume from {str(path)!r}: {error}") from error
         return sampler

@@ -19,7 +19,7 @@ def read(path: str | Path) -> dict[str, Any]:
         contents: dict[str, Any] = toml.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ValueError(f"the file {str(path)!r} cannot be read: {error.strerror}.") from error
-    except (UnicodeDecodeError, toml.TOMLDecodeError) as error:
+    except (UnicodeDecodeError, toml.TOMLDecodeError, RecursionError) as error:
         raise ValueError(f"the file {str(path)!r} is no TOML: {error}.") from error
     return contents
 
@@ -29,7 +29,7 @@ def value(text: str) -> Any:
     toml = _reader()
     try:
         return toml.loads(f"value = {text}")["value"]
-    except toml.TOMLDecodeError:
+    except (toml.TOMLDecodeError, RecursionError):
         return text
 
 

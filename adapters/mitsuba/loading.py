@@ -20,6 +20,7 @@ from ..inputs import check_size
 
 __all__ = [
     "check_film",
+    "check_plugins",
     "files_beside",
     "filter_of",
     "guarded",
@@ -70,6 +71,8 @@ def load_scene(scene: Any, variant: str, size: tuple[int, int] | None = None) ->
     if size is not None:
         resize(parsed, size)
     with files_beside(scene), log_as_warnings():
+        if not isinstance(scene, Mapping):
+            check_plugins(what, parsed)
         return guarded(what, mi.parser.instantiate, config, parsed)
 
 
@@ -188,6 +191,24 @@ def files_beside(scene: Any) -> Iterator[None]:
         yield
     finally:
         mi.set_file_resolver(before)
+
+
+def check_plugins(what: str, parsed: Any) -> None:
+    """Raises ValueError where a parsed scene file names a plugin that is not Mitsuba's own.
+
+    Mitsuba looks for the library of a plugin beside the scene and in the working folder, too, and loads it: a scene
+    could so run code. Plugins that Python registered have no library, and are let pass.
+    """
+    own = Path(mi.__file__).resolve().parent
+    for node in parsed.nodes:
+        name = str(node.props.plugin_name())
+        library = Path(str(mi.file_resolver().resolve(f"plugins/{name}.so"))).resolve()
+        if not re.fullmatch(r"\w*", name, re.ASCII) or (library.is_file() and own not in library.parents):
+            where = mi.parser.file_location(parsed, node)
+            raise ValueError(
+                f"Mitsuba cannot load {what}: {name!r} at {where} is no plugin of Mitsuba's own, and a scene file may "
+                "bring no code along; give one of Mitsuba's, or register yours in Python"
+            )
 
 
 @contextlib.contextmanager

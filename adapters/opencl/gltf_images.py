@@ -13,6 +13,8 @@ import numpy as np
 import OpenImageIO
 from numpy.typing import NDArray
 
+from pmc_sampler import limits
+
 from .gltf_file import Document
 from .gltf_values import pick, title
 from .scene import Floats
@@ -44,6 +46,7 @@ def pixels(document: Document, index: Any, srgb: bool) -> Floats:
         with contextlib.closing(source):
             spec = source.spec()
             _check_size(spec.width, spec.height, label)
+            limits.check(label, spec.image_bytes(True), file.stat().st_size)
             stored = source.read_image(0, 0, 0, spec.nchannels, OpenImageIO.UNKNOWN)
             if stored is None:
                 raise ValueError(f"{label} cannot be decoded ({_line(source.geterror())}); export it anew")

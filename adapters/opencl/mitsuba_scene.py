@@ -75,6 +75,7 @@ def read(file: Path, size: tuple[int, int] | None = None) -> Scene:
         root = Node(parsed, 0)
         if root.type != mi.ObjectType.Scene:
             raise ValueError(f"{root.where} is no scene")
+        loading.check_plugins(str(file), parsed)
         nodes = _checked(root)
         path = _path(root)
         made = mi.parser.ParserState(parsed)  # making objects empties the nodes

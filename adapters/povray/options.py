@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ _PASSED = re.compile(
     r"|Vista_Buffer|Light_Buffer)\s*=.*",
     re.IGNORECASE,
 )
+_MOST_FILES = 1000
 _HERE = (
     "what can be given is Declare=NAME=VALUE, Library_Path=FOLDER or +LFOLDER, Width, Height, Clock or +K, Version, "
     "Quality or +Q, the options for bounding, and INI files (NAME.ini or NAME.ini[SECTION])"
@@ -92,9 +94,13 @@ def _ini(option: str) -> tuple[str | None, str]:
     return match[1], match[2] or ""
 
 
-def _lines(file: Path, section: str, depth: int = 0) -> Iterator[str]:
-    """The options in an INI file: those before its first section, and those of `section`."""
-    if depth > 10:
+def _lines(file: Path, section: str, depth: int = 0, read: Iterator[int] | None = None) -> Iterator[str]:
+    """The options in an INI file: those before its first section, and those of `section`.
+
+    read: counts the files, of which few that include each other many times would make many.
+    """
+    read = itertools.count(1) if read is None else read
+    if depth > 10 or next(read) > _MOST_FILES:
         raise ValueError(f"the INI files around {file} include each other without end")
     try:
         text = file.read_text(encoding="utf-8", errors="surrogateescape")
@@ -108,7 +114,7 @@ def _lines(file: Path, section: str, depth: int = 0) -> Iterator[str]:
             seen.add(current)
         elif line and current in ("", section.lower()):
             if match := re.fullmatch(r"(?:Include_Ini\s*=\s*)?\"?([^=+\-\"][^=\"]*\.ini)\"?", line, re.IGNORECASE):
-                yield from _lines(_path(match[1], file.parent), "", depth + 1)
+                yield from _lines(_path(match[1], file.parent), "", depth + 1, read)
             elif line[0] in "+-":
                 yield from line.split()
             else:

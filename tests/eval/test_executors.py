@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from pmc_sampler.eval import benchmark, executors, images, results, suite
 
-from pmc_sampler import Budget, Config, render
+from pmc_sampler import Budget, Config, Sampler, render
 from pmc_sampler import cluster as clusters
 from pmc_sampler.cli import main
 
@@ -159,6 +159,43 @@ def test_batches_of_one_render_go_to_the_workers(folder: Path, cluster: Any) -> 
         made = render(radiance, 160, 120, Budget(spp=6), Config(), seed=3).film.mean
     assert not (folder / "once").exists()
     assert (made == alone).all()
+
+
+def test_a_cluster_without_workers_keeps_what_was_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All workers go after three batches. No batch waits for ever, what was told stays, and another renderer goes on
+    to the same bits.
+    """
+    import importlib
+
+    from pmc_sampler.adapters import cluster as adapter
+
+    monkeypatch.setattr(adapter, "PATIENCE", 0.5)
+    monkeypatch.setattr(adapter, "_LOOK", 0.3)
+    lamp = importlib.import_module("lamp_of_test")
+    here = lamp.load("lamp", "here", "sobol", (80, 60))
+    sampler = Sampler(80, 60, Budget(spp=6), Config(), seed=3)
+    with (
+        workers() as made,
+        adapter.ClusterRenderer(made.scheduler_address, lamp.load, "lamp", "h", sampler="sobol", size=(80, 60)) as far,
+    ):
+
+        def radiance(batch: Any) -> Any:
+            if sampler.spp == 3.0:
+                made.scale(0)
+                made.sync(made._correct_state)
+            return far(batch)
+
+        with pytest.raises(clusters.ClusterError, match="no worker of the Dask cluster is left"):
+            sampler.run(as_batch(radiance))
+    assert sampler.spp == 3.0
+    sampler.run(here)
+    assert (sampler.film.mean == render(here, 80, 60, Budget(spp=6), Config(), seed=3).film.mean).all()
+
+
+def as_batch(function: Any) -> Any:
+    """The function as a renderer that takes batches."""
+    function.takes_batch = True
+    return function
 
 
 @pytest.mark.needs("pyopencl", "mitsuba")
