@@ -189,7 +189,7 @@ def test_foreign_files(kind: str, tmp_path: Path) -> None:
         (header(lambda h: h.update(format="x")), "its header is not a checkpoint's"),
         (header(lambda h: h.pop("width")), "cannot resume .* 'width'"),
         (header(lambda h: h.update(width=40)), "cannot resume .* block 'film"),
-        (header(lambda h: h.update(width=65535, height=65535)), "cannot resume .* of 65535x65535 takes .* bytes of film"),
+        (header(lambda h: h.update(width=65535, height=65535)), "cannot resume .* of 65535x65535 takes"),
         (header(lambda h: h.update(note=7)), "cannot resume"),
         (header(lambda h: h.update(width=0)), "cannot resume .* the image is 0x15"),
         (header(lambda h: h.update(width="20")), "cannot resume .* width is '20'"),

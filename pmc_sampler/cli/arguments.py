@@ -99,8 +99,8 @@ def _render(p: argparse.ArgumentParser) -> None:
         "--checkpoint",
         type=Path,
         metavar="FILE",
-        help="save the state to FILE when interrupted, too, and resume from it if it exists; default: OUT.exr.checkpoint, "
-        "once a render has taken longer than --checkpoint-every",
+        help="save the state to FILE, when interrupted, too, and resume from it if it exists; default: "
+        "OUT.exr.checkpoint, once a render has taken longer than --checkpoint-every",
     )
     p.add_argument(
         "--checkpoint-every",

@@ -61,11 +61,17 @@ def suite_with(readers: Any, old: bytes, new: bytes) -> bytes:
 
 LONG_LIST = b"[" + b", ".join(b"%d" % k for k in range(100)) + b"]"
 
+SIZE = "cannot be read as an image|promises"
+
 CASES: dict[str, tuple[str, Callable[[Any], bytes], str]] = {
-    "png": ("image", lambda r: b"\3" + png(60000, 60000), "cannot be read as an image|promises"),
-    "png within limits": ("image", lambda r: b"\3" + png(12000, 12000), "cannot be read as an image|promises"),
-    "pfm": ("image", lambda r: b"\2PF\n30000 30000\n-1.0\nxxxx", "promises|cannot be read"),
-    "hdr": ("image", lambda r: b"\1#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 30000 +X 30000\nxxxx", "promises|cannot be read"),
+    "png": ("image", lambda r: b"\3" + png(60000, 60000), SIZE),
+    "png within limits": ("image", lambda r: b"\3" + png(12000, 12000), SIZE),
+    "pfm": ("image", lambda r: b"\2PF\n30000 30000\n-1.0\nxxxx", SIZE),
+    "hdr": (
+        "image",
+        lambda r: b"\1#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 30000 +X 30000\nxxxx",
+        SIZE,
+    ),
     "sweep": (
         "suite",
         lambda r: suite_with(
@@ -84,14 +90,18 @@ CASES: dict[str, tuple[str, Callable[[Any], bytes], str]] = {
     "deep gltf": ("gltf", lambda r: b'{"asset": ' + b"[" * 100_000, "it is no JSON"),
     "entities": (
         "mitsuba-xml",
-        lambda r: b'<!DOCTYPE a [<!ENTITY b "x"><!ENTITY c "&b;&b;"><!ENTITY d SYSTEM "/etc/hostname">]>'
-        b'<scene version="3.0.0"><shape type="&d;"/></scene>',
+        lambda r: (
+            b'<!DOCTYPE a [<!ENTITY b "x"><!ENTITY c "&b;&b;"><!ENTITY d SYSTEM "/etc/hostname">]>'
+            b'<scene version="3.0.0"><shape type="&d;"/></scene>'
+        ),
         "Mitsuba cannot load",
     ),
     "film": (
         "mitsuba-xml",
-        lambda r: b'<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm">'
-        b'<integer name="crop_width" value="1000000000"/></film></sensor></scene>',
+        lambda r: (
+            b'<scene version="3.0.0"><sensor type="perspective"><film type="hdrfilm">'
+            b'<integer name="crop_width" value="1000000000"/></film></sensor></scene>'
+        ),
         "crop",
     ),
 }

@@ -1,5 +1,8 @@
 """What a renderer may be and say of itself. Exact."""
 
+import contextlib
+import os
+import signal
 import threading
 from types import SimpleNamespace
 from typing import Any
@@ -7,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmc_sampler import Batch, Budget, Config, Sampler, render
+from pmc_sampler import Batch, Budget, Config, Sampler, deadline, render
 from pmc_sampler.sampler import config_for
 
 SPP = 24
@@ -94,6 +97,74 @@ def test_an_interrupt_after_tell_keeps_the_batch(renderers: SimpleNamespace, mon
     monkeypatch.undo()
     assert sampler.samples == 4096  # the first batch
     sampler.run(renderers.textured)
+    whole = render(renderers.textured, 40, 30, Budget(spp=SPP), seed=4).film
+    np.testing.assert_array_equal(sampler.film.mean, whole.mean)
+
+
+def test_a_renderer_that_hangs_is_given_up(renderers: SimpleNamespace) -> None:
+    """What was told stays, the batch is asked again, and `run` goes on to the same bits. The thread that was given up
+    answers to nobody.
+    """
+    sampler, go_on = Sampler(40, 30, Budget(spp=SPP), seed=4), threading.Event()
+    calls: list[int] = []
+
+    def hangs(batch: Batch) -> np.ndarray:
+        calls.append(batch.number)
+        if len(calls) == 3:
+            go_on.wait()
+        return renderers.textured(batch)
+
+    with pytest.raises(TimeoutError, match=r"the renderer gave no answer within 0\.5 s"):
+        sampler.run(hangs, timeout=0.5)
+    told = sampler.samples
+    assert (calls, deadline.hung()) == ([0, 1, 2], True)
+    go_on.set()
+    while deadline.hung():
+        pass
+    assert sampler.samples == told
+    sampler.run(hangs, timeout=60.0)
+    assert calls[3] == 2
+    whole = render(renderers.textured, 40, 30, Budget(spp=SPP), seed=4, timeout=60.0).film
+    np.testing.assert_array_equal(sampler.film.mean, whole.mean)
+
+
+def test_a_time_out_passes_answers_and_errors_on() -> None:
+    """One thread, not the caller's, for all calls."""
+    threads: set[int] = set()
+
+    def inverse(x: float) -> float:
+        threads.add(threading.get_ident())
+        return 1.0 / x
+
+    timed = deadline.Deadline(inverse, 60.0)
+    with contextlib.closing(timed):
+        assert [timed(2.0), timed(4.0)] == [0.5, 0.25]
+        with pytest.raises(ZeroDivisionError):
+            timed(0.0)
+        assert timed(1.0) == 1.0
+    assert len(threads) == 1
+    assert threading.get_ident() not in threads
+    assert not deadline.hung()
+    for seconds in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ValueError, match="expected seconds above 0"):
+            deadline.Deadline(inverse, seconds)
+
+
+def test_an_interrupt_reaches_one_who_waits(renderers: SimpleNamespace) -> None:
+    """Ctrl-C while the renderer, in its thread, does not come back: the batch is asked again."""
+    sampler, go_on = Sampler(40, 30, Budget(spp=SPP), seed=4), threading.Event()
+
+    def hangs(batch: Batch) -> np.ndarray:
+        if not go_on.is_set():
+            os.kill(os.getpid(), signal.SIGINT)  # handled by the main thread
+            go_on.wait()
+        return renderers.textured(batch)
+
+    with pytest.raises(KeyboardInterrupt):
+        sampler.run(hangs, timeout=600.0)
+    go_on.set()
+    assert sampler.samples == 0
+    sampler.run(hangs, timeout=600.0)
     whole = render(renderers.textured, 40, 30, Budget(spp=SPP), seed=4).film
     np.testing.assert_array_equal(sampler.film.mean, whole.mean)
 
