@@ -13,8 +13,10 @@ DEMO_ARGS ?= -o demo/
 BENCH_ARGS ?= -o benchmarks/
 SUITE_ARGS ?= quick -o results/quick
 PYTEST_ARGS ?=
+FUZZ_SECONDS ?= 600
+FUZZ_ARGS ?=
 
-.PHONY: demo test test-long coverage bench lint types setup system-packages clean
+.PHONY: demo test test-long coverage fuzz bench lint types setup system-packages clean
 .DEFAULT_GOAL := test
 
 demo: setup
@@ -29,6 +31,11 @@ test-long: setup
 
 coverage: setup
 	$(BIN)/pytest --cov $(PYTEST_ARGS)
+
+# Each reader of files for FUZZ_SECONDS, in its turn; `make FUZZ_ARGS="gltf image" fuzz` picks some.
+fuzz: setup
+	$(PIP) install --group fuzz
+	$(BIN)/python tests/fuzz/fuzz.py $(FUZZ_SECONDS) $(FUZZ_ARGS)
 
 bench: setup
 	$(BIN)/pmc-sampler bench $(SUITE_ARGS)

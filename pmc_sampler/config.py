@@ -182,7 +182,8 @@ class Budget:
 
     spp: samples a pixel, above 0; round(spp * pixels) samples are drawn, to the sample.
     seconds: wall-clock seconds from the first `ask`, above 0.
-    visible_noise: share of the pixels, in (0, 1), whose standard error of luminance exceeds tvi.
+    visible_noise: share of the pixels, in (0, 1), that may be unsettled (see `Sampler.visible_noise`); give `spp` or
+        `seconds`, too, since rare bright paths can keep pixels unsettled for very long.
 
     Raises ValueError or TypeError with a sentence that says what came and what was expected.
     """

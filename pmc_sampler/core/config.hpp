@@ -143,7 +143,7 @@ struct Budget {
     static constexpr double none = std::numeric_limits<double>::infinity();
     double spp = none;            // samples a pixel, met to the sample: round(spp * pixels) samples in all; above 0
     double seconds = none;        // wall-clock seconds from the first ask; above 0
-    double visible_noise = -1.0;  // share of pixels whose standard error of luminance exceeds tvi, in (0, 1); -1: no limit
+    double visible_noise = -1.0;  // share of pixels that may be unsettled (Film::visible_noise), in (0, 1); -1: no limit
 
     void check() const {
         if (!(spp == none || (spp > 0.0 && spp <= 1e9))) fail("spp", spp, "samples a pixel above 0 and at most 1e9");

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <cstring>
 #include <limits>
+#include <vector>
 
 #include "batch.hpp"
 #include "config.hpp"
@@ -126,17 +127,57 @@ public:
     double tile_weight(std::size_t tile) const { return tiles_[tile].weight; }
     void touch(std::size_t tile) { tiles_[tile].stale |= !uniform_ && (live_ || rule_ == Beta::gain); }
 
-    // Share of pixels whose standard error of luminance exceeds tvi, or that have fewer than two samples.
+    // Share of pixels that are not settled. A pixel is, once it has two samples, where the standard error of its luminance is
+    // within tvi by the variance of its own samples, and by that of all samples `reach` pixels around it, each in units of its
+    // own pixel's tvi. The latter is for bright paths so rare that most pixels have met none yet: these have next to no variance
+    // of their own, and a mean that lacks what the paths bring.
     double visible_noise(ThreadPool& threads) const {
+        const std::int64_t width = tiling.width, height = tiling.height;
+        struct Pooled {
+            float squares, freedom;  // sum of squared deviations over tvi^2, degrees of freedom
+        };
+        std::vector<Pooled> along(tiling.pixels());  // sums over 2 * reach + 1 pixels of a row
+        threads.ranges(tiling.height, 4, [&](std::size_t first, std::size_t last) {
+            std::vector<Pooled> row(tiling.width);
+            for (std::size_t y = first; y < last; ++y) {
+                for (std::int64_t x = 0; x < width; ++x) {
+                    const PixelSums& p = sums[tiling.slot(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y))];
+                    const float freedom = p.n > 1 ? static_cast<float>(p.n - 1) : 0.0f;
+                    row[x] = {freedom * score_of<Beta::gain>(p), freedom};
+                }
+                for (std::int64_t x = 0; x < width; ++x) {
+                    Pooled& to = along[y * tiling.width + x];
+                    to = {0.0f, 0.0f};
+                    for (std::int64_t i = std::max<std::int64_t>(x - reach, 0); i <= std::min(x + reach, width - 1); ++i) {
+                        to.squares += row[i].squares;
+                        to.freedom += row[i].freedom;
+                    }
+                }
+            }
+        });
         std::atomic<std::uint64_t> settled{0};
-        threads.ranges(sums.size(), 65536, [&](std::size_t first, std::size_t last) {
+        threads.ranges(tiling.height, 4, [&](std::size_t first, std::size_t last) {
             std::uint64_t count = 0;
-            for (std::size_t s = first; s < last; ++s) count += sums[s].n > 1 && score_of<Beta::gain>(sums[s]) <= static_cast<float>(sums[s].n);
+            for (std::size_t y = first; y < last; ++y) {
+                const std::int64_t low = std::max<std::int64_t>(std::int64_t(y) - reach, 0), high = std::min<std::int64_t>(std::int64_t(y) + reach, height - 1);
+                for (std::int64_t x = 0; x < width; ++x) {
+                    const PixelSums& p = sums[tiling.slot(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y))];
+                    const float n = static_cast<float>(p.n);
+                    if (p.n < 2 || score_of<Beta::gain>(p) > n) continue;
+                    Pooled around{0.0f, 0.0f};
+                    for (std::int64_t i = low; i <= high; ++i) {
+                        around.squares += along[i * width + x].squares;
+                        around.freedom += along[i * width + x].freedom;
+                    }
+                    count += around.squares <= around.freedom * n;
+                }
+            }
             settled += count;
         });
         return 1.0 - static_cast<double>(settled) / static_cast<double>(tiling.pixels());
     }
 
+    static constexpr std::int64_t reach = 3;  // pixels; with less, single rare paths go unnoticed (docs/reliability.md, Budgets)
     static constexpr std::size_t bytes_per_pixel =
         sizeof(PixelSums) + sizeof(float[3]) + sizeof(std::uint32_t[3]) + sizeof(std::uint32_t) + sizeof(float);
 

@@ -7,6 +7,8 @@ build/fuzz/READER; once it is mended it goes to tests/fuzz/found/READER, which t
 
 from __future__ import annotations
 
+import ctypes
+import os
 import re
 import subprocess
 import sys
@@ -31,8 +33,9 @@ def fuzz(name: str, seconds: int) -> bool:
     words = [sys.executable, __file__, "--one", name, str(corpus), f"-artifact_prefix={found}/", "-max_len=65536"]
     began = time.monotonic()
     done = subprocess.run([*words, *limits], capture_output=True, text=True, errors="replace")
-    counts = re.findall(r"^#(\d+)\s", done.stderr, re.MULTILINE)
-    said = f"{name}: {counts[-1] if counts else 0} inputs in {time.monotonic() - began:.0f} s"
+    counts = re.findall(r"^#(\d+)\s.*cov: (\d+)", done.stderr, re.MULTILINE)
+    inputs, reached = counts[-1] if counts else (0, 0)
+    said = f"{name}: {inputs} inputs in {time.monotonic() - began:.0f} s, {reached} places reached"
     if done.returncode == 0:
         print(f"{said}, nothing found", flush=True)
         return True
@@ -44,13 +47,16 @@ def one(name: str) -> None:
     """The process of one reader; the other words are libFuzzer's."""
     import atheris
 
-    with atheris.instrument_imports(include=["pmc_sampler"]):
-        for seed in READERS[name].seeds():
-            try_bytes(name, seed)  # imports all of what is read with
+    for seed in READERS[name].seeds():
+        try_bytes(name, seed)  # imports all of what is read with
+    atheris.instrument_all()
 
     def feed(data: bytes) -> None:
         try_bytes(name, data)
 
+    # libFuzzer ends by exit(), which libraries with threads of their own (Mitsuba's) do not all survive.
+    leave = ctypes.CFUNCTYPE(None)(lambda: os._exit(0))
+    ctypes.CDLL(None).atexit(leave)
     atheris.Setup([sys.argv[0], *sys.argv[3:]], feed)
     atheris.Fuzz()
 

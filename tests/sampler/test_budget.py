@@ -178,14 +178,16 @@ def test_visible_noise_ends_a_run(config: Config, renderers: SimpleNamespace) ->
 
 
 def test_visible_noise_is_the_share_above_tvi(renderers: SimpleNamespace) -> None:
-    """Against the definition, in float64: pixels within 0.2 % of the threshold may fall on either side."""
+    """Against the definition, in float64: pixels within 0.4 % of the threshold may fall on either side. Of those whose
+    own samples are quiet enough the pixels around keep some unsettled.
+    """
     config = Config(white_luminance=30.0)
-    sampler = Sampler(50, 40, Budget(spp=10), config, seed=3)
+    sampler = Sampler(50, 40, Budget(spp=8), config, seed=3)
     sampler.run(renderers.textured)
     mean = luminance(sampler.film.plain_mean.astype(np.float64))
     # The channels' noise is independent, so luminance has its own deviations: ask for them again.
     values: list[tuple[np.ndarray, np.ndarray]] = []
-    again = Sampler(50, 40, Budget(spp=10), config, seed=3)
+    again = Sampler(50, 40, Budget(spp=8), config, seed=3)
     while not again.done:
         batch = again.ask()
         radiance = renderers.textured(batch)
@@ -193,12 +195,34 @@ def test_visible_noise_is_the_share_above_tvi(renderers: SimpleNamespace) -> Non
         again.tell(batch, radiance)
     pixel = np.concatenate([p for p, _ in values])
     deviation = np.concatenate([y for _, y in values]) - mean.ravel()[pixel]
-    n = np.bincount(pixel, minlength=2000)
-    error = np.sqrt(np.bincount(pixel, deviation**2, 2000) / (n * (n - 1.0)))
-    ratio = 30.0 * error / tvi(30.0 * mean.ravel())
-    low, high = np.mean(ratio > 1.002), np.mean(ratio > 0.998)
+    n = np.bincount(pixel, minlength=2000).reshape(40, 50)
+    squares = np.bincount(pixel, deviation**2, 2000).reshape(40, 50) * (30.0 / tvi(30.0 * mean)) ** 2
+    around = np.empty((40, 50))
+    for y, x in np.ndindex(40, 50):
+        window = np.s_[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]
+        around[y, x] = squares[window].sum() / (n[window] - 1).sum()
+    own, pooled = squares / (n - 1) / n, around / n
+    ratio = np.sqrt(np.maximum(own, pooled))
+    low, high = np.mean(ratio > 1.004), np.mean(ratio > 0.996)
     assert low - 1e-9 <= sampler.visible_noise <= high + 1e-9
-    assert high - low < 0.01
+    assert high - low < 0.02
+    assert 0.02 < np.mean(own > 1.0) < low - 0.02 < 0.9
+
+
+def test_one_bright_path_unsettles_what_is_around_it() -> None:
+    """A grey image with a single sample of 1000 in the middle: 7x7 pixels may have missed such a path."""
+
+    def radiance(batch: Batch) -> np.ndarray:
+        values = np.full((len(batch), 3), 0.5, np.float32)
+        values[(batch.pixel == 20 * 40 + 20) & (batch.index == 2)] = 1000.0
+        return values
+
+    sampler = Sampler(40, 40, Budget(spp=8), Config.uniform(), seed=1)
+    sampler.run(radiance)
+    assert sampler.visible_noise == pytest.approx(49 / 1600, abs=1e-12)
+    sampler = Sampler(5, 3, Budget(spp=8), Config.uniform(radii=(1.0,)), seed=1)
+    sampler.run(lambda batch: np.full((len(batch), 3), 0.5, np.float32))
+    assert sampler.visible_noise == 0.0
 
 
 @pytest.mark.parametrize("direct", [True, False])

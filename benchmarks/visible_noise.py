@@ -1,0 +1,117 @@
+"""Whether `--visible-noise` keeps its word: of the pixels called settled, how many differ from a reference by less than
+one threshold.
+
+    python benchmarks/visible_noise.py [--reference-spp N] [--spp N] [--cache DIR] [SCENE ...]
+
+Each scene is rendered at 96x72 by the OpenCL tracer, adaptively and uniformly, up to `--spp` samples a pixel. After
+every batch past each eighth more samples the settled pixels are found by the definition (`Sampler.visible_noise`), from
+sums of its own in float64, and held against a reference. For a row of budgets it says when a render would have ended,
+and the share of its settled pixels that were within one tvi; and the lowest share at any time, from where a tenth of
+the pixels were settled. Exits with status 1 where any is below 90 %.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pmc_sampler.adapters import load, version
+from pmc_sampler.eval import references
+from scipy.ndimage import uniform_filter
+
+from pmc_sampler import Budget, luminance, scenes, tvi
+from pmc_sampler.sampler import config_for, sampler_for
+
+WIDTH, HEIGHT, WHITE = 96, 72, 100.0
+BUDGETS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02)
+PROMISED = 0.9
+
+
+class Moments:
+    """Count, mean and sum of squared deviations of luminance in each pixel, by batches (Chan et al. 1983)."""
+
+    def __init__(self) -> None:
+        self.count, self.mean, self.squares = (np.zeros(WIDTH * HEIGHT) for _ in range(3))
+
+    def add(self, pixel: NDArray[Any], values: NDArray[np.float64]) -> None:
+        """A batch."""
+        count = np.bincount(pixel, minlength=WIDTH * HEIGHT)
+        mean = np.bincount(pixel, values, WIDTH * HEIGHT) / np.maximum(count, 1)
+        squares = np.bincount(pixel, (values - mean[pixel]) ** 2, WIDTH * HEIGHT)
+        total, apart = np.maximum(self.count + count, 1), mean - self.mean
+        self.squares += squares + apart**2 * self.count * count / total
+        self.mean += apart * count / total
+        self.count += count
+
+    def settled(self) -> NDArray[np.bool_]:
+        """The pixels that `Sampler.visible_noise` does not count, (height, width)."""
+        count, mean, squares = (a.reshape(HEIGHT, WIDTH) for a in (self.count, self.mean, self.squares))
+        squares = squares * (WHITE / tvi(WHITE * mean)) ** 2
+        freedom = np.maximum(count - 1, 0)
+        around = uniform_filter(squares, 7, mode="constant") / np.maximum(
+            uniform_filter(freedom, 7, mode="constant"), 1e-9
+        )
+        own = squares / np.maximum(freedom, 1)
+        return np.asarray((count > 1) & (np.maximum(own, around) <= count))
+
+
+def measure(scene: str, method: str, radiance: Any, reference: references.Reference, spp: float) -> float:
+    """Renders, prints a line and returns the lowest share."""
+    true = luminance(reference.mean.astype(np.float64))
+    threshold = tvi(WHITE * true) / WHITE
+    sampler = sampler_for(radiance, WIDTH, HEIGHT, Budget(spp=spp), config_for(radiance, {"preset": method}), seed=1)
+    moments, after, lowest, ended = Moments(), 4.0, 1.0, {}
+    right = np.zeros((HEIGHT, WIDTH), bool)
+    while not sampler.done:
+        batch = sampler.ask()
+        values = radiance(batch)
+        sampler.tell(batch, values)
+        moments.add(batch.pixel, luminance(values.astype(np.float64)))
+        if sampler.spp < after and sampler.done is None:
+            continue
+        after = 1.125 * sampler.spp
+        settled = moments.settled()
+        right = np.abs(luminance(sampler.film.mean.astype(np.float64)) - true) < threshold
+        if settled.mean() < 0.1:
+            continue
+        share = float(right[settled].mean())
+        lowest = min(lowest, share)
+        for budget in BUDGETS:
+            if 1.0 - settled.mean() <= budget:
+                ended.setdefault(budget, (sampler.spp, share))
+    assert abs(1.0 - moments.settled().mean() - sampler.visible_noise) < 0.005  # the core's, in float32
+    ends = ", ".join(f"{b:g} at {at:.0f} spp {share:.1%}" for b, (at, share) in ended.items()) or "none"
+    left, now = 1.0 - moments.settled().mean(), right.mean()
+    print(
+        f"{scene}, {method}: ended {ends}; lowest {lowest:.1%}; at {spp:g} spp {left:.1%} are unsettled, and "
+        f"{1.0 - now:.1%} of all pixels are off by a threshold or more",
+        flush=True,
+    )
+    return lowest
+
+
+def main() -> int:
+    """Measures all and returns the exit status."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("scenes", nargs="*", default=scenes.names())
+    parser.add_argument("--reference-spp", type=int, default=16384)
+    parser.add_argument("--spp", type=float, default=300.0)
+    parser.add_argument("--cache")
+    options = parser.parse_args()
+    lowest = []
+    for scene in options.scenes:
+        began = time.perf_counter()
+        radiance = load("opencl", scene, size=(WIDTH, HEIGHT))
+        settings = references.identify(scene, "opencl", version("opencl"))
+        reference = references.obtain(radiance, WIDTH, HEIGHT, options.reference_spp, settings, cache=options.cache)
+        lowest += [measure(scene, method, radiance, reference, options.spp) for method in ("default", "uniform")]
+        print(f"{scene}: {time.perf_counter() - began:.0f} s", flush=True)
+    return int(min(lowest) < PROMISED)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
