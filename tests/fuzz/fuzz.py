@@ -8,16 +8,19 @@ build/fuzz/READER; once it is mended it goes to tests/fuzz/found/READER, which t
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import re
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 from readers import READERS, try_bytes
 
 WORK = Path("build/fuzz")
+FOLLOWED = ("pmc_sampler", "pygltflib", "tomllib", "zipfile")
 MEMORY, TIME = 3000, 60  # MiB that a process may hold, seconds that an input may take
 
 
@@ -49,14 +52,16 @@ def one(name: str) -> None:
 
     for seed in READERS[name].seeds():
         try_bytes(name, seed)  # imports all of what is read with
-    atheris.instrument_all()
+    for found in gc.get_objects():  # not instrument_imports, which installations for editing get past
+        if isinstance(found, types.FunctionType) and str(found.__module__).split(".")[0] in FOLLOWED:
+            atheris.instrument_func(found)
 
     def feed(data: bytes) -> None:
         try_bytes(name, data)
 
     # libFuzzer ends by exit(), which libraries with threads of their own (Mitsuba's) do not all survive.
-    leave = ctypes.CFUNCTYPE(None)(lambda: os._exit(0))
-    ctypes.CDLL(None).atexit(leave)
+    leave = ctypes.CFUNCTYPE(None, ctypes.c_void_p)(lambda nothing: os._exit(0))
+    ctypes.CDLL(None)["__cxa_atexit"](leave, None, None)
     atheris.Setup([sys.argv[0], *sys.argv[3:]], feed)
     atheris.Fuzz()
 
