@@ -1,13 +1,13 @@
 """Whether `--visible-noise` keeps its word: of the pixels called settled, how many differ from a reference by less than
 one threshold.
 
-    python benchmarks/visible_noise.py [--reference-spp N] [--spp N] [--cache DIR] [SCENE ...]
+    python benchmarks/visible_noise.py [--reference-spp N] [--spp N] [--size W H] [--cache DIR] [SCENE ...]
 
-Each scene is rendered at 96x72 by the OpenCL tracer, adaptively and uniformly, up to `--spp` samples a pixel. After
-every batch past each eighth more samples the settled pixels are found by the definition (`Sampler.visible_noise`), from
-sums of its own in float64, and held against a reference. For a row of budgets it says when a render would have ended,
-and the share of its settled pixels that were within one tvi; and the lowest share at any time, from where a tenth of
-the pixels were settled. Exits with status 1 where any is below 90 %.
+Each scene is rendered by the OpenCL tracer, at 96x72 by default, adaptively and uniformly, up to `--spp` samples a
+pixel. After every batch past each eighth more samples the settled pixels are found by the definition
+(`Sampler.visible_noise`), from sums of its own in float64, and held against a reference. For a row of budgets it says
+when a render would have ended, and the share of its settled pixels that were within one tvi; and the lowest share at
+any time, from where a tenth of the pixels were settled. Exits with status 1 where any is below 90 %.
 """
 
 from __future__ import annotations
@@ -26,22 +26,23 @@ from scipy.ndimage import uniform_filter
 from pmc_sampler import Budget, luminance, scenes, tvi
 from pmc_sampler.sampler import config_for, sampler_for
 
-WIDTH, HEIGHT, WHITE = 96, 72, 100.0
+WHITE = 100.0
 BUDGETS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02)
-PROMISED = 0.9
+PROMISED, MARGIN = 0.9, 1.645
 
 
 class Moments:
     """Count, mean and sum of squared deviations of luminance in each pixel, by batches (Chan et al. 1983)."""
 
-    def __init__(self) -> None:
-        self.count, self.mean, self.squares = (np.zeros(WIDTH * HEIGHT) for _ in range(3))
+    def __init__(self, height: int, width: int) -> None:
+        self.shape = height, width
+        self.count, self.mean, self.squares = (np.zeros(height * width) for _ in range(3))
 
     def add(self, pixel: NDArray[Any], values: NDArray[np.float64]) -> None:
         """A batch."""
-        count = np.bincount(pixel, minlength=WIDTH * HEIGHT)
-        mean = np.bincount(pixel, values, WIDTH * HEIGHT) / np.maximum(count, 1)
-        squares = np.bincount(pixel, (values - mean[pixel]) ** 2, WIDTH * HEIGHT)
+        count = np.bincount(pixel, minlength=len(self.count))
+        mean = np.bincount(pixel, values, len(count)) / np.maximum(count, 1)
+        squares = np.bincount(pixel, (values - mean[pixel]) ** 2, len(count))
         total, apart = np.maximum(self.count + count, 1), mean - self.mean
         self.squares += squares + apart**2 * self.count * count / total
         self.mean += apart * count / total
@@ -49,8 +50,8 @@ class Moments:
 
     def settled(self) -> NDArray[np.bool_]:
         """The pixels that `Sampler.visible_noise` does not count, (height, width)."""
-        count, mean, squares = (a.reshape(HEIGHT, WIDTH) for a in (self.count, self.mean, self.squares))
-        squares = squares * (WHITE / tvi(WHITE * mean)) ** 2
+        count, mean, squares = (a.reshape(self.shape) for a in (self.count, self.mean, self.squares))
+        squares = squares * (MARGIN * WHITE / tvi(WHITE * mean)) ** 2
         freedom = np.maximum(count - 1, 0)
         around = uniform_filter(squares, 7, mode="constant") / np.maximum(
             uniform_filter(freedom, 7, mode="constant"), 1e-9
@@ -63,9 +64,10 @@ def measure(scene: str, method: str, radiance: Any, reference: references.Refere
     """Renders, prints a line and returns the lowest share."""
     true = luminance(reference.mean.astype(np.float64))
     threshold = tvi(WHITE * true) / WHITE
-    sampler = sampler_for(radiance, WIDTH, HEIGHT, Budget(spp=spp), config_for(radiance, {"preset": method}), seed=1)
-    moments, after, lowest, ended = Moments(), 4.0, 1.0, {}
-    right = np.zeros((HEIGHT, WIDTH), bool)
+    config = config_for(radiance, {"preset": method})
+    sampler = sampler_for(radiance, *true.shape[::-1], Budget(spp=spp), config, seed=1)
+    moments, after, lowest, ended = Moments(*true.shape), 4.0, 1.0, {}
+    right = np.zeros(true.shape, bool)
     while not sampler.done:
         batch = sampler.ask()
         values = radiance(batch)
@@ -100,14 +102,15 @@ def main() -> int:
     parser.add_argument("scenes", nargs="*", default=scenes.names())
     parser.add_argument("--reference-spp", type=int, default=16384)
     parser.add_argument("--spp", type=float, default=300.0)
+    parser.add_argument("--size", type=int, nargs=2, default=(96, 72))
     parser.add_argument("--cache")
     options = parser.parse_args()
     lowest = []
     for scene in options.scenes:
         began = time.perf_counter()
-        radiance = load("opencl", scene, size=(WIDTH, HEIGHT))
+        radiance = load("opencl", scene, size=tuple(options.size))
         settings = references.identify(scene, "opencl", version("opencl"))
-        reference = references.obtain(radiance, WIDTH, HEIGHT, options.reference_spp, settings, cache=options.cache)
+        reference = references.obtain(radiance, *options.size, options.reference_spp, settings, cache=options.cache)
         lowest += [measure(scene, method, radiance, reference, options.spp) for method in ("default", "uniform")]
         print(f"{scene}: {time.perf_counter() - began:.0f} s", flush=True)
     return int(min(lowest) < PROMISED)

@@ -184,8 +184,8 @@ class Sampler:
 
     @property
     def visible_noise(self) -> float:
-        """Share of the pixels that are not settled: the standard error of their luminance exceeds tvi, by the variance
-        of their own samples or by that of the 7x7 pixels around them, or they have fewer than two samples.
+        """Share of the pixels that are not settled: 1.645 standard errors of their luminance, its 90 % interval, exceed
+        tvi by the variance of their own samples or of the 7x7 pixels around them, or they have fewer than two samples.
         """
         return self._native.visible_noise()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -82,7 +83,7 @@ def _take(result: Options, option: str, folder: Path) -> bool:
 
 
 def _path(text: str, folder: Path) -> Path:
-    path = Path(text.strip().strip("\"'")).expanduser()
+    path = Path(os.path.expanduser(text.strip().strip("\"'")))  # that of pathlib raises for ~NOBODY
     return folder / path if (folder / path).exists() else path
 
 

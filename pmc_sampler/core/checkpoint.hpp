@@ -58,8 +58,8 @@ void Sampler::archive(Archive& a) {
     if constexpr (Archive::reading) {
         if (n_untold + n_waiting > 2 * (std::uint64_t(config.lookahead) + 1)) throw std::runtime_error("the checkpoint's number of open batches is damaged");
         if (issued_ > total_ || told_ > drawn_batches_ || drawn_batches_ - told_ > 2 * (std::uint64_t(config.lookahead) + 1) ||
-            n_untold + n_waiting != drawn_batches_ - told_)
-            throw std::runtime_error("the checkpoint's counts of batches and samples contradict each other: it is damaged");
+            n_untold + n_waiting != drawn_batches_ - told_ || done_ > Done::visible_noise)
+            throw std::runtime_error("the checkpoint's counts of batches and samples, and what ended it, contradict each other: it is damaged");
         pool_.set_cursor(cursor);
         placement_.set_cursor(placement);
         elapsed_before_ = seconds;

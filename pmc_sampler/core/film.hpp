@@ -127,7 +127,7 @@ public:
     double tile_weight(std::size_t tile) const { return tiles_[tile].weight; }
     void touch(std::size_t tile) { tiles_[tile].stale |= !uniform_ && (live_ || rule_ == Beta::gain); }
 
-    // Share of pixels that are not settled. A pixel is, once it has two samples, where the standard error of its luminance is
+    // Share of pixels that are not settled. A pixel is, once it has two samples, where the 90 % interval of its luminance is
     // within tvi by the variance of its own samples, and by that of all samples `reach` pixels around it, each in units of its
     // own pixel's tvi. The latter is for bright paths so rare that most pixels have met none yet: these have next to no variance
     // of their own, and a mean that lacks what the paths bring.
@@ -163,13 +163,13 @@ public:
                 for (std::int64_t x = 0; x < width; ++x) {
                     const PixelSums& p = sums[tiling.slot(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y))];
                     const float n = static_cast<float>(p.n);
-                    if (p.n < 2 || score_of<Beta::gain>(p) > n) continue;
+                    if (p.n < 2 || interval * score_of<Beta::gain>(p) > n) continue;
                     Pooled around{0.0f, 0.0f};
                     for (std::int64_t i = low; i <= high; ++i) {
                         around.squares += along[i * width + x].squares;
                         around.freedom += along[i * width + x].freedom;
                     }
-                    count += around.squares <= around.freedom * n;
+                    count += interval * around.squares <= around.freedom * n;
                 }
             }
             settled += count;
@@ -177,6 +177,7 @@ public:
         return 1.0 - static_cast<double>(settled) / static_cast<double>(tiling.pixels());
     }
 
+    static constexpr float interval = 1.645f * 1.645f;  // standard errors, squared, that 90 % of a normal distribution lie within
     static constexpr std::int64_t reach = 3;  // pixels; with less, single rare paths go unnoticed (docs/reliability.md, Budgets)
     static constexpr std::size_t bytes_per_pixel =
         sizeof(PixelSums) + sizeof(float[3]) + sizeof(std::uint32_t[3]) + sizeof(std::uint32_t) + sizeof(float);

@@ -298,7 +298,7 @@ READERS = {
     "config": Reader(config, ".toml", lambda: [b'preset = "uniform"\nradii = [0.5, 2]\nbatch = 50\nfilter = "tent"\n']),
     "recording": Reader(recording, ".h5", lambda: [(HERE.parent / "eval" / "cornell-box.h5").read_bytes()]),
     "row": Reader(row, ".parquet", lambda: [_row_seed()]),
-    "plan": Reader(plan, ".json", lambda: [b'{"ids": ["a", "../b"]}']),
+    "plan": Reader(plan, ".json", lambda: [b'{"ids": ["a", "b"]}']),
     "image": Reader(image, "", lambda: list(_images())),
     "gltf": Reader(gltf, ".gltf", lambda: list(_gltf_seeds())),
     "mitsuba-xml": Reader(

@@ -87,6 +87,8 @@ CASES: dict[str, tuple[str, Callable[[Any], bytes], str]] = {
     "deep suite": ("suite", lambda r: b"a = " + b"[" * 100_000, "no TOML"),
     "deep settings": ("config", lambda r: b"a = " + b"[" * 100_000, "no TOML"),
     "deep plan": ("plan", lambda r: b"[" * 100_000, "holds no results"),
+    "plan outside": ("plan", lambda r: b'{"ids": ["../a"]}', "its plan names other files than its own"),
+    "plan of no list": ("plan", lambda r: b'{"ids": 5}', "its plan names other files than its own"),
     "deep gltf": ("gltf", lambda r: b'{"asset": ' + b"[" * 100_000, "it is no JSON"),
     "entities": (
         "mitsuba-xml",

@@ -182,12 +182,12 @@ def test_visible_noise_is_the_share_above_tvi(renderers: SimpleNamespace) -> Non
     own samples are quiet enough the pixels around keep some unsettled.
     """
     config = Config(white_luminance=30.0)
-    sampler = Sampler(50, 40, Budget(spp=8), config, seed=3)
+    sampler = Sampler(50, 40, Budget(spp=14), config, seed=3)
     sampler.run(renderers.textured)
     mean = luminance(sampler.film.plain_mean.astype(np.float64))
     # The channels' noise is independent, so luminance has its own deviations: ask for them again.
     values: list[tuple[np.ndarray, np.ndarray]] = []
-    again = Sampler(50, 40, Budget(spp=8), config, seed=3)
+    again = Sampler(50, 40, Budget(spp=14), config, seed=3)
     while not again.done:
         batch = again.ask()
         radiance = renderers.textured(batch)
@@ -196,7 +196,7 @@ def test_visible_noise_is_the_share_above_tvi(renderers: SimpleNamespace) -> Non
     pixel = np.concatenate([p for p, _ in values])
     deviation = np.concatenate([y for _, y in values]) - mean.ravel()[pixel]
     n = np.bincount(pixel, minlength=2000).reshape(40, 50)
-    squares = np.bincount(pixel, deviation**2, 2000).reshape(40, 50) * (30.0 / tvi(30.0 * mean)) ** 2
+    squares = np.bincount(pixel, deviation**2, 2000).reshape(40, 50) * (1.645 * 30.0 / tvi(30.0 * mean)) ** 2
     around = np.empty((40, 50))
     for y, x in np.ndindex(40, 50):
         window = np.s_[max(y - 3, 0) : y + 4, max(x - 3, 0) : x + 4]
@@ -205,8 +205,8 @@ def test_visible_noise_is_the_share_above_tvi(renderers: SimpleNamespace) -> Non
     ratio = np.sqrt(np.maximum(own, pooled))
     low, high = np.mean(ratio > 1.004), np.mean(ratio > 0.996)
     assert low - 1e-9 <= sampler.visible_noise <= high + 1e-9
-    assert high - low < 0.02
-    assert 0.02 < np.mean(own > 1.0) < low - 0.02 < 0.9
+    assert high - low < 0.03
+    assert 0.02 < np.mean(own > 1.0) < low - 0.02 < 0.9, (np.mean(own > 1.0), low)
 
 
 def test_one_bright_path_unsettles_what_is_around_it() -> None:
