@@ -1,7 +1,8 @@
 """Whether `--visible-noise` keeps its word: of the pixels called settled, how many differ from a reference by less than
 one threshold.
 
-    python benchmarks/visible_noise.py [--reference-spp N] [--spp N] [--size W H] [--cache DIR] [SCENE ...]
+    python benchmarks/visible_noise.py [--reference-spp N] [--spp N] [--size W H] [--cache DIR]
+        [--window PIXELS] [--margin ERRORS] [SCENE ...]
 
 Each scene is rendered by the OpenCL tracer, at 96x72 by default, adaptively and uniformly, up to `--spp` samples a
 pixel. After every batch past each eighth more samples the settled pixels are found by the definition
@@ -28,7 +29,8 @@ from pmc_sampler.sampler import config_for, sampler_for
 
 WHITE = 100.0
 BUDGETS = (0.5, 0.3, 0.2, 0.1, 0.05, 0.02)
-PROMISED, MARGIN = 0.9, 1.645
+PROMISED = 0.9
+RULE = 7, 1.645  # pixels around, standard errors
 
 
 class Moments:
@@ -48,19 +50,21 @@ class Moments:
         self.mean += apart * count / total
         self.count += count
 
-    def settled(self) -> NDArray[np.bool_]:
-        """The pixels that `Sampler.visible_noise` does not count, (height, width)."""
+    def settled(self, window: int, margin: float) -> NDArray[np.bool_]:
+        """The pixels that `Sampler.visible_noise` does not count, (height, width), by its own window and margin."""
         count, mean, squares = (a.reshape(self.shape) for a in (self.count, self.mean, self.squares))
-        squares = squares * (MARGIN * WHITE / tvi(WHITE * mean)) ** 2
+        squares = squares * (margin * WHITE / tvi(WHITE * mean)) ** 2
         freedom = np.maximum(count - 1, 0)
-        around = uniform_filter(squares, 7, mode="constant") / np.maximum(
-            uniform_filter(freedom, 7, mode="constant"), 1e-9
+        around = uniform_filter(squares, window, mode="constant") / np.maximum(
+            uniform_filter(freedom, window, mode="constant"), 1e-9
         )
         own = squares / np.maximum(freedom, 1)
         return np.asarray((count > 1) & (np.maximum(own, around) <= count))
 
 
-def measure(scene: str, method: str, radiance: Any, reference: references.Reference, spp: float) -> float:
+def measure(
+    scene: str, method: str, radiance: Any, reference: references.Reference, spp: float, rule: tuple[int, float]
+) -> float:
     """Renders, prints a line and returns the lowest share."""
     true = luminance(reference.mean.astype(np.float64))
     threshold = tvi(WHITE * true) / WHITE
@@ -76,7 +80,7 @@ def measure(scene: str, method: str, radiance: Any, reference: references.Refere
         if sampler.spp < after and sampler.done is None:
             continue
         after = 1.125 * sampler.spp
-        settled = moments.settled()
+        settled = moments.settled(*rule)
         right = np.abs(luminance(sampler.film.mean.astype(np.float64)) - true) < threshold
         if settled.mean() < 0.1:
             continue
@@ -85,9 +89,11 @@ def measure(scene: str, method: str, radiance: Any, reference: references.Refere
         for budget in BUDGETS:
             if 1.0 - settled.mean() <= budget:
                 ended.setdefault(budget, (sampler.spp, share))
-    assert abs(1.0 - moments.settled().mean() - sampler.visible_noise) < 0.005  # the core's, in float32
+    assert (
+        rule != RULE or abs(1.0 - moments.settled(*rule).mean() - sampler.visible_noise) < 0.005
+    )  # the core's, in float32
     ends = ", ".join(f"{b:g} at {at:.0f} spp {share:.1%}" for b, (at, share) in ended.items()) or "none"
-    left, now = 1.0 - moments.settled().mean(), right.mean()
+    left, now = 1.0 - moments.settled(*rule).mean(), right.mean()
     print(
         f"{scene}, {method}: ended {ends}; lowest {lowest:.1%}; at {spp:g} spp {left:.1%} are unsettled, and "
         f"{1.0 - now:.1%} of all pixels are off by a threshold or more",
@@ -103,6 +109,8 @@ def main() -> int:
     parser.add_argument("--reference-spp", type=int, default=16384)
     parser.add_argument("--spp", type=float, default=300.0)
     parser.add_argument("--size", type=int, nargs=2, default=(96, 72))
+    parser.add_argument("--window", type=int, default=RULE[0], help="pixels around; 1 for none")
+    parser.add_argument("--margin", type=float, default=RULE[1], help="standard errors")
     parser.add_argument("--cache")
     options = parser.parse_args()
     lowest = []
@@ -111,7 +119,8 @@ def main() -> int:
         radiance = load("opencl", scene, size=tuple(options.size))
         settings = references.identify(scene, "opencl", version("opencl"))
         reference = references.obtain(radiance, *options.size, options.reference_spp, settings, cache=options.cache)
-        lowest += [measure(scene, method, radiance, reference, options.spp) for method in ("default", "uniform")]
+        rule = (options.window, options.margin)
+        lowest += [measure(scene, method, radiance, reference, options.spp, rule) for method in ("default", "uniform")]
         print(f"{scene}: {time.perf_counter() - began:.0f} s", flush=True)
     return int(min(lowest) < PROMISED)
 

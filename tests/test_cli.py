@@ -229,7 +229,7 @@ def test_budgets(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -
     for words in (
         (),
         ("--seconds", "1e-9"),
-        ("--visible-noise", "0.9999", "--spp", "1000"),
+        ("--visible-noise", "0.9999", "--spp", "10000", "--size", "16x12"),
         ("--spp", "2.5"),
     ):
         assert main(["render", "here", "--json", *words]) == 0
