@@ -82,7 +82,7 @@ class Config:
     alpha_floor: float = 0.1
     alpha_memory: float = 0.25
     beta: str = "gain"
-    beta_power: float = 1.5
+    beta_power: float = 2.0
     white_luminance: float = 100.0
     filter: str = "box"
     filter_radius: float | None = None

@@ -49,7 +49,7 @@ struct Config {
     double alpha_floor = 0.1;             // epsilon in alpha_k = epsilon / K + (1 - epsilon) share_k, in [0, 1]
     double alpha_memory = 0.25;           // how far the remembered alpha moves to a member's, in [0, 1]; 0 remembers nothing
     Beta beta = Beta::gain;
-    double beta_power = 1.5;              // pixels are drawn in proportion to beta to this power, in [0.25, 2]
+    double beta_power = 2.0;              // pixels are drawn in proportion to beta to this power, in [0.25, 2]
 
     // The image
     double white_luminance = 100.0;       // cd/m2 that a radiance luminance of 1.0 stands for, above 0

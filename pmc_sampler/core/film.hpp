@@ -103,8 +103,8 @@ public:
             }
         else
             std::copy_n(from, Tiling::area, w.pixel);
-        if (power_ == 1.5)
-            for (float& v : w.pixel) v *= std::sqrt(v);
+        if (power_ == 2.0)
+            for (float& v : w.pixel) v *= v;
         else if (power_ != 1.0)
             for (float& v : w.pixel) v = v > 0.0f ? static_cast<float>(std::pow(double(v), power_)) : 0.0f;
         for (std::uint32_t r = 0; r < Tiling::side; ++r) {
