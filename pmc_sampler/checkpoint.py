@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pmc_sampler import npz
 
 FORMAT = "pmc_sampler checkpoint"
-VERSION = 1
+VERSION = 2
 Blocks = dict[str, npt.NDArray[np.uint8]]
 
 

@@ -15,9 +15,11 @@ from __future__ import annotations
 import importlib
 import os
 import shutil
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import pytest
 
@@ -70,6 +72,34 @@ def require() -> Callable[[str], ModuleType | str]:
 def checkout() -> Path:
     """The root of the checkout."""
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def compiler(require: Callable[[str], Any], checkout: Path) -> list[str]:
+    """The C++ compiler with what the core's headers need."""
+    core = str(checkout / "pmc_sampler" / "core")
+    return [require("c++"), "-std=c++20", "-pthread", "-ffp-contract=off", "-I", core]
+
+
+@pytest.fixture(scope="session")
+def build(
+    compiler: list[str], checkout: Path, tmp_path_factory: pytest.TempPathFactory
+) -> Callable[[str, list[str]], Path]:
+    """Compiles a source, by its path in the checkout, once and gives the program."""
+    folder = tmp_path_factory.mktemp("c++")
+    built: dict[tuple[str, ...], Path] = {}
+
+    def compiled(source: str, flags: list[str]) -> Path:
+        key = (source, *flags)
+        if key not in built:
+            program = folder / f"program{len(built)}"
+            command = [*compiler, *flags, str(checkout / source), "-o", str(program)]
+            process = subprocess.run(command, capture_output=True, text=True, check=False)
+            assert process.returncode == 0, process.stderr
+            built[key] = program
+        return built[key]
+
+    return compiled
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

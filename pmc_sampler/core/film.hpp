@@ -6,7 +6,6 @@
 #include <atomic>
 #include <cmath>
 #include <cstdint>
-#include <cstring>
 #include <limits>
 #include <vector>
 
@@ -15,6 +14,7 @@
 #include "memory.hpp"
 #include "parallel.hpp"
 #include "perception.hpp"
+#include "rounding.hpp"
 #include "tiling.hpp"
 
 namespace pmc {
@@ -22,8 +22,7 @@ namespace pmc {
 // What every sample changes: one cache line.
 struct PixelSums {
     double sum[3];            // of radiance, all samples
-    double m2_luminance;      // sum of squared deviations of luminance from its mean
-    float m2[3];              // the same of each channel
+    Reals40<4> m2;            // sums of squared deviations from the mean: red, green, blue, luminance
     float half_mean[3];       // mean radiance of every other sample
     std::uint32_t n, n_pool;  // samples, and those of them from the pool
 
@@ -58,9 +57,10 @@ public:
         };
         threads.ranges(n, 2048, [&](std::size_t first, std::size_t last) {
             std::uint64_t bad = 0;
-            for (std::size_t i = boundary(first), end = boundary(last); i < end; ++i) {
-                if (i + ahead < end) fetch(slot[i + ahead], batch.tag[i + ahead]);
-                bad += !add_sample(slot[i], batch.tag[i], radiance + i * (3 + aovs), luminances ? luminances + i : nullptr);
+            for (std::size_t i = boundary(first), end = boundary(last), next; i < end; i = next) {
+                for (next = i + 1; next < end && slot[next] == slot[i];) ++next;
+                if (next + ahead < end) fetch(slot[next + ahead], batch.tag[next + ahead]);
+                bad += add_pixel(batch, i, next, radiance, luminances);
                 tiles_[slot[i] / Tiling::area].stale |= live_;
             }
             rejected += bad;
@@ -96,13 +96,12 @@ public:
         const float* from = score_.data() + std::size_t(tile) * Tiling::area;
         const std::uint32_t* taken = drawn.data() + std::size_t(tile) * Tiling::area;
         const float passes = tiles_[tile].passes;
-        if (rule_ == Beta::gain)
-            for (std::uint32_t i = 0; i < Tiling::area; ++i) {
-                const float inverse = 1.0f / (static_cast<float>(static_cast<std::int32_t>(taken[i])) + passes);
-                w.pixel[i] = from[i] * inverse * inverse;
-            }
-        else
-            std::copy_n(from, Tiling::area, w.pixel);
+        for (std::uint32_t i = 0; i < Tiling::area; ++i) {
+            // Negative from 2^31 samples on: such a pixel gets no more, lest its count run over.
+            const auto count = static_cast<std::int32_t>(taken[i]);
+            const float inverse = rule_ == Beta::gain ? 1.0f / (static_cast<float>(count) + passes) : 1.0f;
+            w.pixel[i] = count < 0 ? 0.0f : from[i] * inverse * inverse;
+        }
         if (power_ == 2.0)
             for (float& v : w.pixel) v *= v;
         else if (power_ != 1.0)
@@ -180,7 +179,7 @@ public:
     static constexpr float interval = 1.645f * 1.645f;  // standard errors, squared, that 90 % of a normal distribution lie within
     static constexpr std::int64_t reach = 3;  // pixels; with less, single rare paths go unnoticed (docs/reliability.md, Budgets)
     static constexpr std::size_t bytes_per_pixel =
-        sizeof(PixelSums) + sizeof(float[3]) + sizeof(std::uint32_t[3]) + sizeof(std::uint32_t) + sizeof(float);
+        sizeof(PixelSums) + sizeof(Reals40<3>) + sizeof(std::uint16_t[3]) + sizeof(std::uint32_t) + sizeof(float);
 
     // A sample's channels: radiance finite and, unless it is signed, not negative; the others finite.
     bool valid(const float* v) const {
@@ -193,8 +192,8 @@ public:
 
     Tiling tiling;
     Zeroed<PixelSums> sums;
-    Zeroed<std::array<float, 3>> pool_mean;          // mean radiance of the pool's samples alone; of no use where all are
-    Zeroed<std::array<std::uint32_t, 3>> strategy;   // samples that each radius of the kernel proposed
+    Zeroed<Reals40<3>> pool_mean;  // mean radiance of the pool's samples alone; of no use where all are
+    Zeroed<std::array<std::uint16_t, 3>> strategy;  // samples that each radius proposed; all three are halved before one runs over
     Zeroed<std::uint32_t> drawn;  // samples drawn from each pixel's adaptive sequence: the next one's index
     Zeroed<double> aov_sums;
     std::uint32_t aovs;
@@ -224,48 +223,69 @@ private:
         if ((tag & Tag::kernel_mask) != Tag::no_kernel) __builtin_prefetch(&strategy[slot], 1);
     }
 
-    // One sample; false where it is left out. Its deviation is taken from the mean before it (Welford 1962,
-    // doi:10.1080/00401706.1962.10490022), so that a large mean with a tiny spread loses nothing.
-    bool add_sample(std::size_t slot, std::uint8_t tag, const float* v, float* luminance_out) {
-        if (!valid(v)) {
-            if (luminance_out) *luminance_out = std::numeric_limits<float>::quiet_NaN();
-            return false;
-        }
+    // Samples [first, last) of a batch, all of one pixel; how many of them are left out. Deviations are taken from the mean
+    // before each sample (Welford 1962, doi:10.1080/00401706.1962.10490022), as n x - sum, which is exactly 0 where all are equal:
+    // a large mean with a tiny spread loses nothing. What is kept in fewer bits is rounded once, at the end.
+    std::uint64_t add_pixel(const Batch& batch, std::size_t first, std::size_t last, const float* radiance, float* luminances) {
+        const std::size_t slot = batch.slot[first];
         PixelSums& p = sums[slot];
-        const std::uint32_t n = p.n;
-        const double r = v[0], g = v[1], b = v[2], y = luminance(r, g, b), inverse = reciprocal(n), share = n * reciprocal(n + 1);
-        if (luminance_out) *luminance_out = static_cast<float>(y);
-        // Red, green, blue and luminance in two vectors of the width that every x86-64 and 64-bit Arm processor has.
-        // They are read as they were written, whole: a processor passes a value on from its last write at once only then.
-        Pair sum_rg;
-        std::memcpy(&sum_rg, p.sum, sizeof sum_rg);
-        const Pair x_rg = {r, g}, x_by = {b, y};
-        const Pair sum_by = {p.sum[2], luminance(sum_rg[0], sum_rg[1], p.sum[2])};
-        const Pair d_rg = x_rg - sum_rg * inverse, d_by = x_by - sum_by * inverse;
-        const Pair m2_rg = d_rg * d_rg * share, m2_by = d_by * d_by * share, now_rg = sum_rg + x_rg;
-        std::memcpy(p.sum, &now_rg, sizeof now_rg);
-        p.sum[2] = sum_by[0] + b;
-        p.m2_luminance += m2_by[1];
-        if (live_) score_[slot] = score_at(p.m2_luminance * inverse, (sum_by[1] + y) * reciprocal(n + 1));
-        p.m2[0] += static_cast<float>(m2_rg[0]);
-        p.m2[1] += static_cast<float>(m2_rg[1]);
-        p.m2[2] += static_cast<float>(m2_by[0]);
-        // A weight of 0 costs less than a branch that nobody can predict.
-        const float half_weight = static_cast<float>(reciprocal(n / 2 + 1) * double(1 - n % 2));
-        for (int c = 0; c < 3; ++c) p.half_mean[c] += (v[c] - p.half_mean[c]) * half_weight;
-        p.n = n + 1;
-        if (tag & Tag::pool) {
-            ++p.n_pool;
-            if (!uniform_) {
-                const float weight = static_cast<float>(reciprocal(p.n_pool));
-                for (int c = 0; c < 3; ++c) pool_mean[slot][c] += (v[c] - pool_mean[slot][c]) * weight;
+        // Red and green, blue and luminance: vectors of the width that every x86-64 and 64-bit Arm processor has.
+        Pair sum_rg = {p.sum[0], p.sum[1]}, m2_rg = {p.m2.get(0), p.m2.get(1)}, m2_by = {p.m2.get(2), p.m2.get(3)};
+        double sum_b = p.sum[2], half[3] = {p.half_mean[0], p.half_mean[1], p.half_mean[2]}, pool[3] = {};
+        std::uint32_t n = p.n, n_pool = p.n_pool;
+        for (std::size_t i = first; i < last; ++i) {
+            const float* v = radiance + i * (3 + aovs);
+            if (!valid(v)) {
+                if (luminances) luminances[i] = std::numeric_limits<float>::quiet_NaN();
+                continue;
             }
+            if (luminances) luminances[i] = static_cast<float>(luminance(double(v[0]), double(v[1]), double(v[2])));
+            const double count = n, inverse = reciprocal(n), share = count * reciprocal(n + 1);
+            const Pair x_rg = {v[0], v[1]}, d_rg = (x_rg * count - sum_rg) * inverse;
+            const double d_b = (v[2] * count - sum_b) * inverse;
+            const Pair d_by = {d_b, luminance(d_rg[0], d_rg[1], d_b)};
+            m2_rg += d_rg * d_rg * share;
+            m2_by += d_by * d_by * share;
+            sum_rg += x_rg;
+            sum_b += v[2];
+            // A weight of 0 costs less than a branch that nobody can predict.
+            const double half_weight = reciprocal(n / 2 + 1) * double(1 - n % 2);
+            for (int c = 0; c < 3; ++c) half[c] += (v[c] - half[c]) * half_weight;
+            ++n;
+            if (batch.tag[i] & Tag::pool) {
+                if (!uniform_) {
+                    if (n_pool == p.n_pool)
+                        for (int c = 0; c < 3; ++c) pool[c] = pool_mean[slot].get(c);
+                    const double weight = reciprocal(n_pool + 1);
+                    for (int c = 0; c < 3; ++c) pool[c] += (v[c] - pool[c]) * weight;
+                }
+                ++n_pool;
+            }
+            const std::uint32_t kernel = batch.tag[i] & Tag::kernel_mask;
+            if (kernel != Tag::no_kernel) count_strategy(strategy[slot], kernel);
+            for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[slot * aovs + c] += v[3 + c];
         }
-        const std::uint32_t kernel = tag & Tag::kernel_mask;
-        std::uint32_t nowhere = 0;
-        ++*(kernel == Tag::no_kernel ? &nowhere : &strategy[slot][kernel]);
-        for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[slot * aovs + c] += v[3 + c];
-        return true;
+        const std::uint64_t taken = n - p.n;
+        if (taken) {
+            const std::uint32_t rounding = dither(n);
+            if (live_) score_[slot] = n < 2 ? 0.0f : score_at(m2_by[1] * reciprocal(n - 1), luminance(sum_rg[0], sum_rg[1], sum_b) * reciprocal(n));
+            p.sum[0] = sum_rg[0];
+            p.sum[1] = sum_rg[1];
+            p.sum[2] = sum_b;
+            p.m2.set({m2_rg[0], m2_rg[1], m2_by[0], m2_by[1]}, rounding);
+            // Rounding to the nearest float does for as many samples as most pixels have.
+            for (int c = 0; c < 3; ++c) p.half_mean[c] = n < 4096 ? static_cast<float>(half[c]) : rounded(half[c], rounding);
+            if (n_pool != p.n_pool && !uniform_) pool_mean[slot].set(pool, rounding);
+            p.n = n;
+            p.n_pool = n_pool;
+        }
+        return last - first - taken;
+    }
+
+    static void count_strategy(std::array<std::uint16_t, 3>& counts, std::uint32_t kernel) {
+        if (counts[kernel] == std::numeric_limits<std::uint16_t>::max())
+            for (std::uint16_t& c : counts) c /= 2;
+        ++counts[kernel];
     }
 
     // Divisions by small counts are the dearest part of a sample; these are looked up.
@@ -283,7 +303,7 @@ private:
     }
     template <Beta rule>
     float score_of(const PixelSums& p) const {
-        return p.n < 2 ? 0.0f : score_of<rule>(p.m2_luminance * reciprocal(p.n - 1), luminance(p.sum[0], p.sum[1], p.sum[2]) * reciprocal(p.n));
+        return p.n < 2 ? 0.0f : score_of<rule>(p.m2.get(3) * reciprocal(p.n - 1), luminance(p.sum[0], p.sum[1], p.sum[2]) * reciprocal(p.n));
     }
     float score_at(double variance, double mean) const {
         return rule_ == Beta::gain ? score_of<Beta::gain>(variance, mean) : score_of<Beta::variance>(variance, mean);

@@ -34,38 +34,58 @@ inline void plain_mean(const Film& film, float* out, ThreadPool& threads) {
 // The plain mean P with the energy that it lacks. The pool's mean U is unbiased, for no pool sample's being taken depends on
 // any value; D = U - P is noise and what steering cost. In each channel it is shared out among the neighbours by weights w that
 // fall to 0 where the channel is black:  image = P + w B(D / B(w)),  B a symmetric smoother, so that the sum over the image is
-// that of U.
+// that of U. What its neighbours cannot take, for one pixel outshines them, stays where it is: the sum is the same.
 inline void corrected_mean(const Film& film, const Config& config, float* out, ThreadPool& threads) {
     plain_mean(film, out, threads);
     if (config.correction == 0.0 || config.is_uniform()) return;
     const Tiling& t = film.tiling;
     const std::size_t n = t.pixels();
     const Smoother smooth(t.width, t.height, config.correction_sigma);
-    const auto strength = static_cast<float>(config.correction);
-    const float lowest = film.is_signed ? -std::numeric_limits<float>::infinity() : 0.0f;
-    std::vector<float> weight(n), spread(n), residual(n), ones(n, 1.0f);
+    const float knee = static_cast<float>(config.correction_knee);
+    constexpr double highest = std::numeric_limits<float>::max();
+    const double lowest = film.is_signed ? -highest : 0.0;
+    std::vector<float> weight(n), spread(n), mean(n), residual(n), kept(n), ones(n, 1.0f);
     smooth(ones, threads);
     for (int c = 0; c < 3; ++c) {
-        for (std::size_t i = 0; i < n; ++i) spread[i] = weight[i] = std::max(0.0f, out[3 * i + c]);
-        smooth(spread, threads);
+        // The largest value becomes 1/2 to 1: products and quotients of any radiance stay within floats.
+        float largest = 0.0f;
+        for (std::size_t i = 0; i < n; ++i) largest = std::max(largest, std::abs(out[3 * i + c]));
+        if (largest == 0.0f) continue;
+        int exponent;
+        std::frexp(largest, &exponent);
+        const double scale = std::ldexp(1.0, -exponent), unscale = std::ldexp(1.0, exponent);
+        for (std::size_t i = 0; i < n; ++i) mean[i] = weight[i] = static_cast<float>(scale * std::max(0.0f, out[3 * i + c]));
+        smooth(mean, threads);
         for (std::size_t i = 0; i < n; ++i) {
-            const float knee = static_cast<float>(config.correction_knee) * spread[i] / ones[i];
-            spread[i] = weight[i] = weight[i] > 0.0f ? weight[i] / (weight[i] + knee) : 0.0f;
+            mean[i] /= ones[i];
+            spread[i] = weight[i] = weight[i] > 0.0f ? weight[i] / (weight[i] + knee * mean[i]) : 0.0f;
         }
         smooth(spread, threads);
         for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
-            const bool known = film.sums[slot].n_pool && spread[i] > 1e-12f;
-            residual[i] = known ? (film.pool_mean[slot][c] - out[3 * i + c]) / spread[i] : 0.0f;
+            residual[i] = kept[i] = 0.0f;
+            if (!film.sums[slot].n_pool) return;
+            const float lacking = static_cast<float>(scale * (film.pool_mean[slot].get(c) - out[3 * i + c]));
+            if (lacking == 0.0f) return;
+            // What the neighbours would change by, as a share of what they are; nothing of note is moved from a tenth on.
+            const float change = smooth.share(i) * std::abs(lacking) / (spread[i] * mean[i] * std::max(knee, spread[i]));
+            const float share = change <= 0.1f ? 1.0f : static_cast<float>(std::pow(0.1 / change, 4.0));
+            residual[i] = share > 0.0f ? share * (lacking / spread[i]) : 0.0f;
+            kept[i] = lacking - share * lacking;
         });
         smooth(residual, threads);
-        for (std::size_t i = 0; i < n; ++i) out[3 * i + c] = std::max(lowest, out[3 * i + c] + strength * weight[i] * residual[i]);
+        for (std::size_t i = 0; i < n; ++i) {
+            const double change = unscale * (double(weight[i]) * residual[i] + kept[i]);
+            out[3 * i + c] = static_cast<float>(std::clamp(out[3 * i + c] + config.correction * change, lowest, highest));
+        }
     }
 }
 
 // Mean of the pool's samples alone, unbiased at every count; all samples where all are the pool's.
 inline void pool_mean(const Film& film, const Config& config, float* out, ThreadPool& threads) {
     if (config.is_uniform()) return plain_mean(film, out, threads);
-    for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) { std::copy_n(film.pool_mean[slot].data(), 3, out + 3 * i); });
+    for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
+        for (int c = 0; c < 3; ++c) out[3 * i + c] = static_cast<float>(film.pool_mean[slot].get(c));
+    });
 }
 
 // Standard error of the plain mean (3 floats a pixel); infinity where fewer than two samples leave it unknown.
@@ -73,7 +93,7 @@ inline void standard_error(const Film& film, float* out, ThreadPool& threads) {
     for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
         const PixelSums& p = film.sums[slot];
         for (int c = 0; c < 3; ++c)
-            out[3 * i + c] = p.n > 1 ? static_cast<float>(std::sqrt(p.m2[c] / (double(p.n) * (p.n - 1)))) : std::numeric_limits<float>::infinity();
+            out[3 * i + c] = p.n > 1 ? static_cast<float>(std::sqrt(p.m2.get(c) / (double(p.n) * (p.n - 1)))) : std::numeric_limits<float>::infinity();
     });
 }
 

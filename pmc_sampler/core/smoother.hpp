@@ -24,7 +24,12 @@ public:
         double sum = 0.0;
         for (double k : kernel_) sum += k;
         for (double& k : kernel_) k /= sum;
+        column_share_ = shares(width, sigma);
+        row_share_ = shares(height, sigma);
     }
+
+    // About what share of a pixel, by its place in the image, it keeps and its neighbours get.
+    float share(std::size_t pixel) const { return column_share_[pixel % width_] * row_share_[pixel / width_]; }
 
     // In place, one channel, row by row.
     void operator()(std::vector<float>& image, ThreadPool& threads) const {
@@ -70,6 +75,14 @@ private:
         const int i = static_cast<int>(std::floor(c)), top = static_cast<int>(cells) - 1;
         return {std::clamp(i, 0, top), std::clamp(i + 1, 0, top), c - i};
     }
+    // The peak of the Gaussian and of its reflections at both borders, of a row of so many pixels.
+    static std::vector<float> shares(std::uint32_t size, double sigma) {
+        std::vector<float> result(size);
+        const auto at = [&](double distance) { return std::exp(-0.5 * distance * distance / (sigma * sigma)) / (std::sqrt(2.0 * 3.14159265358979323846) * sigma); };
+        for (std::uint32_t i = 0; i < size; ++i)
+            result[i] = static_cast<float>(std::clamp(at(0.0) + at(2.0 * i + 1.0) + at(2.0 * (size - i) - 1.0), 1.0 / size, 1.0));
+        return result;
+    }
     // Reflection at the borders keeps the matrix symmetric.
     static int fold(int i, int n) {
         while (i < 0 || i >= n) i = i < 0 ? -1 - i : 2 * n - 1 - i;
@@ -99,6 +112,7 @@ private:
     int cell_;
     std::uint32_t columns_, rows_;
     std::vector<double> kernel_;
+    std::vector<float> column_share_, row_share_;
 };
 
 }  // namespace pmc

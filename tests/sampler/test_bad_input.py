@@ -276,4 +276,4 @@ def test_more_memory_than_there_is() -> None:
         check=False,
     )
     assert process.returncode == 1
-    assert "MemoryError: an image of 20000x20000 needs 35.8 GiB of film, more than there is" in process.stderr
+    assert "MemoryError: an image of 20000x20000 needs 35.0 GiB of film, more than there is" in process.stderr
