@@ -16,7 +16,7 @@ PYTEST_ARGS ?=
 FUZZ_SECONDS ?= 600
 FUZZ_ARGS ?=
 
-.PHONY: demo test test-long coverage fuzz bench lint types setup system-packages clean
+.PHONY: demo test test-long sanitize coverage fuzz bench lint types setup system-packages clean
 .DEFAULT_GOAL := test
 
 demo: setup
@@ -28,6 +28,9 @@ test: setup
 
 test-long: setup
 	$(BIN)/pytest -m long $(PYTEST_ARGS)
+
+sanitize: setup
+	.ci/sanitize
 
 coverage: setup
 	$(BIN)/pytest --cov $(PYTEST_ARGS)

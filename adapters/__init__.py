@@ -23,6 +23,7 @@ __all__ = ["Availability", "available", "load", "names", "native_settings", "ver
 
 GROUP = "pmc_sampler.renderers"
 _OWN = {  # module within this package, class
+    "analytic": "analytic:AnalyticRenderer",
     "mitsuba": "mitsuba:MitsubaRenderer",
     "opencl": "opencl:OpenCLRenderer",
     "povray": "povray:PovRayRenderer",

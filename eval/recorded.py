@@ -22,7 +22,9 @@ from .references import Reference, key
 FORMAT = "pmc_sampler recording"
 VERSION = 1
 LARGEST_HALF = 65504.0
-"""The largest float16; samples are stored in 16 bits where none is brighter, else in 32."""
+"""The largest float16; samples are stored in 16 bits where the brightest is at most that, else in 32."""
+FAINTEST_HALF = 0.0625
+"""The brightest sample must be at least that, too: float16 has steps of 6e-8 near 0, in which faint radiance is lost."""
 _CHUNK_BYTES = 2**20
 _NUMBERS = ("sobol", "independent")
 
@@ -232,7 +234,7 @@ class _Passes:
 def _finish(target: Path, head: Mapping[str, Any], passes: NDArray[np.float32]) -> None:
     per_pixel, pixels, _ = passes.shape
     brightest = max(float(np.nanmax(np.abs(one), initial=0.0)) for one in passes)
-    kind = np.dtype(np.float16 if brightest <= LARGEST_HALF else np.float32)
+    kind = np.dtype(np.float16 if FAINTEST_HALF <= brightest <= LARGEST_HALF else np.float32)
     rows = max(1, min(pixels, _CHUNK_BYTES // (per_pixel * 3 * kind.itemsize)))
     beside = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
