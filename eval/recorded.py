@@ -24,7 +24,7 @@ VERSION = 1
 LARGEST_HALF = 65504.0
 """The largest float16; samples are stored in 16 bits where the brightest is at most that, else in 32."""
 FAINTEST_HALF = 0.0625
-"""The brightest sample must be at least that, too: float16 has steps of 6e-8 near 0, in which faint radiance is lost."""
+"""The brightest must be at least that, too: float16 has steps of 6e-8 near 0, in which faint radiance is lost."""
 _CHUNK_BYTES = 2**20
 _NUMBERS = ("sobol", "independent")
 

@@ -144,7 +144,7 @@ PLACES = {"corner": 0, "border": WIDTH // 2, "middle": 20 * WIDTH + 24, "last": 
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("index", [0, 1, 2, 5])
 def test_a_speck_leaves_the_rest_alone(index: int, place: str, renderers: SimpleNamespace) -> None:
-    """One sample of 1e30, of the pool or not: all other pixels change by 2 % at most by the correction, the film's sums
+    """One sample of 1e30, of the pool or not: all other pixels change by 5 % at most by the correction, the film's sums
     not at all, and the image keeps the pool's energy.
     """
 
@@ -178,7 +178,7 @@ def test_one_pixel_outshines_all_others(times: float, place: str, renderers: Sim
 
 @pytest.mark.parametrize("scale", [1e-38, 1e-30, 1e-12, 1e12, 1e30, 1e37])
 def test_images_of_any_brightness(scale: float, renderers: SimpleNamespace) -> None:
-    """The correction does not depend on the unit: the image is that of scale 1 but for rounding, where the exposure goes
+    """The unit does not matter: the image is that of scale 1 but for rounding, where the exposure goes
     along or the radiance does not steer.
     """
     one = rendered(lambda batch, radiance: None, renderers, direct_share=1.0, initial_spp=32.0).film
@@ -193,7 +193,7 @@ def test_images_of_any_brightness(scale: float, renderers: SimpleNamespace) -> N
 
 
 def test_black_images_and_black_pools(renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
-    """Black stays black; where the pool saw none of the light of the others, it is taken away and nothing is below 0."""
+    """Black stays black; light that the pool never saw is taken away, and nothing falls below 0."""
     dark = rendered(lambda batch, radiance: radiance.fill(0), renderers).film
     assert not dark.mean.any()
     pool = tools.pool_scramble(Sampler(WIDTH, HEIGHT, Budget(spp=1), seed=4))

@@ -1,5 +1,5 @@
-"""The core under AddressSanitizer, UndefinedBehaviorSanitizer and ThreadSanitizer: random samplers driven at random by four
-threads, their budgets and films checked; and the sanitizers themselves, on programs with one fault each.
+"""The core under AddressSanitizer, UndefinedBehaviorSanitizer and ThreadSanitizer: random samplers driven at random by
+four threads, their budgets and films checked; and the sanitizers themselves, on programs with one fault each.
 
 ``make sanitize`` runs the long ones too, and the sampler's tests in Python on a module compiled with the first two.
 """
