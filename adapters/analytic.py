@@ -63,7 +63,8 @@ class AnalyticRenderer:
     @property
     def mean(self) -> NDArray[np.float64]:
         """The expected radiance of valid samples."""
-        return (self._mean[:, None] * _TINT).reshape(self.height, self.width, 3)
+        mean: NDArray[np.float64] = (self._mean[:, None] * _TINT).reshape(self.height, self.width, 3)
+        return mean
 
     def __call__(self, batch: Any) -> NDArray[np.float32]:
         """The radiance of a batch's samples."""
@@ -73,14 +74,14 @@ class AnalyticRenderer:
             u, v = _core.sobol_points(batch.scramble, batch.index, 1).T.astype(np.float64)
         rest = (1.0 - self._rare * self._gain) / (1.0 - self._rare)
         factor = np.where(u < self._rare, self._gain, rest * (0.5 + v))
-        radiance = ((self._mean[batch.pixel] * factor)[:, None] * _TINT).astype(np.float32)
+        radiance: NDArray[np.float32] = ((self._mean[batch.pixel] * factor)[:, None] * _TINT).astype(np.float32)
         bad = np.flatnonzero(_uniform(_core.mix(batch.scramble, batch.index), batch.index) < self._invalid)
         radiance[bad, bad % 3] = np.resize(np.array([np.nan, np.inf, -1.0], np.float32), len(bad))
         return radiance
 
 
 def _settings(scene: str | os.PathLike[str]) -> Mapping[str, float]:
-    given = toml.read(scene)
+    given = toml.read(os.fspath(scene))
     settings = {name: default for name, (default, _, _) in _RANGES.items()}
     for name, value in given.items():
         if name not in _RANGES:

@@ -31,7 +31,10 @@ FAULTS = {
         "auto* z = new pmc::Zeroed<int>(4); int* p = z->data(); delete z; return p[argc];",
     ),
     "memory leaks": ("addresses and undefined behaviour", "auto* volatile p = new int[4]; p = nullptr; return !!p;"),
-    "signed integer overflow": ("addresses and undefined behaviour", "volatile int x = 2147483646 + argc; return x + argc;"),
+    "signed integer overflow": (
+        "addresses and undefined behaviour",
+        "volatile int x = 2147483646 + argc; return x + argc;",
+    ),
     "outside the range of representable values": (
         "addresses and undefined behaviour",
         "volatile double x = 1e300 * argc; return int(x);",
