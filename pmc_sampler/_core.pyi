@@ -4,6 +4,10 @@ from enum import Enum
 import numpy as np
 from numpy.typing import NDArray
 
+class Estimator(Enum):
+    consistent = ...
+    unbiased = ...
+
 class Beta(Enum):
     gain = ...
     variance = ...
@@ -33,6 +37,7 @@ class Config:
     alpha_floor: float
     alpha_memory: float
     beta: Beta
+    estimator: Estimator
     beta_power: float
     white_luminance: float
     filter: Filter

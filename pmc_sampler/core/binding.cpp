@@ -101,6 +101,7 @@ NB_MODULE(_core, m) {
     nb::set_leak_warnings(false);
 
     nb::enum_<pmc::Beta>(m, "Beta").value("gain", pmc::Beta::gain).value("variance", pmc::Beta::variance);
+    nb::enum_<pmc::Estimator>(m, "Estimator").value("consistent", pmc::Estimator::consistent).value("unbiased", pmc::Estimator::unbiased);
     nb::enum_<pmc::Filter>(m, "Filter")
         .value("box", pmc::Filter::box)
         .value("tent", pmc::Filter::tent)
@@ -114,7 +115,7 @@ NB_MODULE(_core, m) {
         FIELD(population) FIELD(moves) FIELD(radii) FIELD(eliminate) FIELD(regenerate_pool) FIELD(regenerate_jitter)
         FIELD(evaluate_regenerated) FIELD(adapt_alpha_every) FIELD(adapt_beta_every) FIELD(alpha_floor)
         FIELD(alpha_memory) FIELD(beta) FIELD(beta_power) FIELD(white_luminance) FIELD(filter) FIELD(filter_radius)
-        FIELD(correction) FIELD(correction_sigma) FIELD(correction_knee)
+        FIELD(estimator) FIELD(correction) FIELD(correction_sigma) FIELD(correction_knee)
 #undef FIELD
         .def("check", nb::overload_cast<>(&pmc::Config::check, nb::const_))
         .def("resolved", &pmc::Config::resolved);

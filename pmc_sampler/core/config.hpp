@@ -19,6 +19,12 @@ enum class Beta : std::uint8_t {
     variance,  // var / tvi(I): the paper's choice (section 4.3.2)
 };
 
+// What the image is as an estimate of the true one.
+enum class Estimator : std::uint8_t {
+    consistent,  // right in the limit: all that was seen steers
+    unbiased,    // of the right expectation at every count of samples: see Film::guide()
+};
+
 // Pixel reconstruction filter, applied by filter importance sampling (Ernst, Stamminger and Greiner 2006,
 // doi:10.1109/RT.2006.280223): a sample counts for one pixel with weight one, and its place is drawn from the filter.
 enum class Filter : std::uint8_t { box, tent, gaussian, blackman_harris };
@@ -55,6 +61,7 @@ struct Config {
     double white_luminance = 100.0;       // cd/m2 that a radiance luminance of 1.0 stands for, above 0
     Filter filter = Filter::box;
     double filter_radius = 0.5;           // pixels, in (0, 16]; a box of 0.5 is the pixel's own square
+    Estimator estimator = Estimator::consistent;  // unbiased: no population and no correction
     double correction = 1.0;              // strength of the energy correction, in [0, 1]; 0 leaves the plain mean
     double correction_sigma = 12.0;       // standard deviation of its smoother in pixels, in [0.5, 256]
     double correction_knee = 0.05;        // luminance, as a share of its surroundings', where it is half applied; in (0, 1]
@@ -67,14 +74,22 @@ struct Config {
         Config config = *this;
         if (radii.empty())
             for (double radius : {0.5, 1.5, 4.0}) config.radii.push_back(std::min(radius, static_cast<double>(std::max(width, height))));
+        if (is_unbiased()) {
+            config.direct_share = 1.0;
+            config.adapt_beta_every = 1;
+            config.correction = 0.0;
+        }
         return config;
     }
     bool is_uniform() const { return pool_share == 1.0; }
+    bool is_unbiased() const { return estimator == Estimator::unbiased && !is_uniform(); }
 
     // Throws std::invalid_argument with a sentence that names the setting, what came and what was expected.
     void check() const {
         in_range("initial_spp", initial_spp == automatic ? 0.0 : initial_spp, 0.0, 1e9);
         in_range("pool_share", pool_share, 0.0, 1.0);
+        if (is_unbiased() && initial_spp != automatic && initial_spp < 1.0)
+            fail("initial_spp", number(initial_spp), "at least 1 for the unbiased estimator, which needs a sample of every pixel from the pool");
         in_range("direct_share", direct_share, 0.0, 1.0);
         in_range("lookahead", lookahead, 0, 64);
         in_range("moves", moves, 0, 1024);

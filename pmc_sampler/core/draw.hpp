@@ -33,14 +33,32 @@ inline bool Sampler::prepare() {
         fill(*batch, std::min({left, room, batch_size()}));
     } else {
         const auto passes = static_cast<float>(static_cast<double>(pool_.cursor()) / static_cast<double>(film_.tiling.slots()));
-        const SystematicDraw beta(film_, passes, threads_);
-        draw_adaptive(*batch, left, beta);
+        if (config.is_unbiased())
+            draw_unbiased(*batch, std::min(left, batch_size()), passes);
+        else
+            draw_adaptive(*batch, left, SystematicDraw(film_, passes, threads_));
     }
     arranger_(proposals_, film_, *batch, threads_);
     issued_ += batch->size();
     ++drawn_batches_;
     prepared_.push_back(std::move(batch));
     return true;
+}
+
+// Of the samples that are not the pool's each colour gets its share, whatever was seen; see Film::guide().
+inline void Sampler::draw_unbiased(Batch& batch, std::uint64_t size, float passes) {
+    const std::uint64_t pixels = film_.tiling.pixels();
+    const std::uint64_t direct = size - static_cast<std::uint64_t>(std::llround(config.pool_share * static_cast<double>(size)));
+    const std::uint64_t counts[2] = {direct - direct * (pixels / 2) / pixels, direct * (pixels / 2) / pixels};
+    film_.guide(threads_);
+    direct_slots_.resize(direct);
+    for (std::uint32_t colour = 0; colour < 2; ++colour) {
+        if (!counts[colour]) continue;
+        film_.select(colour);
+        const float offset = Stream(seed, stream::offset, batch.number).uniform(colour);
+        SystematicDraw(film_, passes, threads_)(counts[colour], offset, direct_slots_.data() + colour * counts[0], threads_);
+    }
+    fill(batch, size);
 }
 
 inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta) {

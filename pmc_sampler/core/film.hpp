@@ -15,6 +15,7 @@
 #include "parallel.hpp"
 #include "perception.hpp"
 #include "rounding.hpp"
+#include "smoother.hpp"
 #include "tiling.hpp"
 
 namespace pmc {
@@ -41,8 +42,8 @@ public:
     // is_signed: radiance may be negative, as single samples of a spectral renderer are outside the gamut of RGB.
     Film(std::uint32_t width, std::uint32_t height, const Config& config, std::uint32_t aovs, bool is_signed = false)
         : tiling(width, height), sums(tiling.slots()), pool_mean(tiling.slots()), strategy(tiling.slots()), drawn(tiling.slots()),
-          aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
-          rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), live_(!uniform_ && config.adapt_beta_every == 1) {}
+          pool_m2(config.is_unbiased() ? tiling.slots() : 0), aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
+          rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), unbiased_(config.is_unbiased()), live_(!uniform_ && !unbiased_ && config.adapt_beta_every == 1) {}
 
     // Adds a batch; radiance holds 3 + aovs floats a sample. Samples that are not finite or negative are left out, and their
     // number returned. `luminances`, if any, receives each sample's, NaN where it was left out.
@@ -79,6 +80,48 @@ public:
         });
     }
 
+    // The density of the unbiased estimator. Pixels have the colours of a chessboard, and the samples of different pixels are
+    // independent. So if how often a pixel is sampled follows from pixels of the other colour alone, and from those of their
+    // samples alone that are taken whatever was seen (the pool's), it is independent of the pixel's own values, and their mean has
+    // the right expectation at every count. What a pixel is given for its standard deviation in units of tvi is the mean of those
+    // around it, of the other colour.
+    void guide(ThreadPool& threads) {
+        const Smoother smooth(tiling.width, tiling.height, guide_sigma);
+        const auto over = [&](std::uint32_t colour, auto&& visit) {
+            threads.ranges(tiling.height, 8, [&](std::size_t first, std::size_t last) {
+                for (auto y = static_cast<std::uint32_t>(first); y < last; ++y)
+                    for (std::uint32_t x = (y + colour) % 2; x < tiling.width; x += 2) visit(std::size_t(y) * tiling.width + x, tiling.slot(x, y));
+            });
+        };
+        std::vector<float> image(tiling.pixels());
+        const bool first = guide_share_.empty();
+        guide_share_.resize(tiling.pixels());
+        for (std::uint32_t colour = 0; colour < 2; ++colour) {
+            if (first) {  // how much of the smoother's weight is the other colour's: a half, but at the borders
+                std::fill(image.begin(), image.end(), 0.0f);
+                over(1 - colour, [&](std::size_t i, std::size_t) { image[i] = 1.0f; });
+                smooth(image, threads);
+                over(colour, [&](std::size_t i, std::size_t) { guide_share_[i] = image[i]; });
+            }
+            std::fill(image.begin(), image.end(), 0.0f);
+            over(1 - colour, [&](std::size_t i, std::size_t slot) {
+                const std::uint32_t n = sums[slot].n_pool;
+                const auto& mean = pool_mean[slot];
+                if (n > 1) image[i] = std::sqrt(score_at(pool_m2[slot] * reciprocal(n - 1), luminance(mean.get(0), mean.get(1), mean.get(2))));
+            });
+            smooth(image, threads);
+            over(colour, [&](std::size_t i, std::size_t slot) {
+                const float s = guide_share_[i] > 0.0f ? image[i] / guide_share_[i] : 0.0f;
+                score_[slot] = s * s;
+            });
+        }
+    }
+    // Only pixels of one colour have weight from now on.
+    void select(std::uint32_t colour) {
+        colour_ = colour;
+        for (std::size_t t = 0; t < tiling.tiles(); ++t) tiles_[t].stale = true;
+    }
+
     // beta as the sampler sees it (Config::beta), not normalised.
     float beta(std::size_t slot) const {
         const PixelSums& p = sums[slot];
@@ -106,6 +149,9 @@ public:
             for (float& v : w.pixel) v *= v;
         else if (power_ != 1.0)
             for (float& v : w.pixel) v = v > 0.0f ? static_cast<float>(std::pow(double(v), power_)) : 0.0f;
+        if (unbiased_)  // some weight for each, so that the other colour has no say in whether there is any
+            for (std::uint32_t i = 0; i < Tiling::area; ++i)
+                w.pixel[i] = (i + i / Tiling::side) % 2 == colour_ && tiling.inside(tile * Tiling::area + i) ? std::max(w.pixel[i], 1e-30f) : 0.0f;
         for (std::uint32_t r = 0; r < Tiling::side; ++r) {
             // In fours, so that the sum is the same however the compiler vectorises.
             float sum[4] = {};
@@ -180,6 +226,7 @@ public:
     }
 
     static constexpr float interval = 1.645f * 1.645f;  // standard errors, squared, that 90 % of a normal distribution lie within
+    static constexpr double guide_sigma = 2.0;  // pixels
     static constexpr std::int64_t reach = 3;  // pixels; with less, single rare paths go unnoticed (docs/reliability.md, Budgets)
     static constexpr std::size_t bytes_per_pixel =
         sizeof(PixelSums) + sizeof(Reals40<3>) + sizeof(std::uint16_t[3]) + sizeof(std::uint32_t) + sizeof(float);
@@ -196,6 +243,7 @@ public:
     Tiling tiling;
     Zeroed<PixelSums> sums;
     Zeroed<Reals40<3>> pool_mean;  // mean radiance of the pool's samples alone; of no use where all are
+    Zeroed<float> pool_m2;  // squared deviations of luminance of these samples; for the unbiased estimator only
     Zeroed<std::array<std::uint16_t, 3>> strategy;  // samples that each radius proposed; all three are halved before one runs over
     Zeroed<std::uint32_t> drawn;  // samples drawn from each pixel's adaptive sequence: the next one's index
     Zeroed<double> aov_sums;
@@ -207,6 +255,7 @@ public:
     void archive(Archive& a) {
         a.array("film.sums", sums);
         a.array("film.pool_mean", pool_mean);
+        a.array("film.pool_m2", pool_m2);
         a.array("film.strategy", strategy);
         a.array("film.drawn", drawn);
         a.array("film.score", score_);
@@ -260,6 +309,10 @@ private:
                     if (n_pool == p.n_pool)
                         for (int c = 0; c < 3; ++c) pool[c] = pool_mean[slot].get(c);
                     const double weight = reciprocal(n_pool + 1);
+                    if (unbiased_) {
+                        const double d = luminance(v[0] - pool[0], v[1] - pool[1], v[2] - pool[2]);
+                        pool_m2[slot] += static_cast<float>(d * d * n_pool * weight);
+                    }
                     for (int c = 0; c < 3; ++c) pool[c] += (v[c] - pool[c]) * weight;
                 }
                 ++n_pool;
@@ -324,7 +377,9 @@ private:
     double white_;
     Beta rule_;
     double power_;
-    bool uniform_, live_;
+    bool uniform_, unbiased_, live_;
+    std::uint32_t colour_ = 0;
+    std::vector<float> guide_share_;
     InverseSquareTvi inverse_square_tvi_;
 };
 

@@ -38,6 +38,9 @@ public:
           film_(width, height, config, aovs, is_signed), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
           memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, Sequences(key(seed), reserved()), config.filter, config.filter_radius),
           populations_(std::size_t(config.lookahead) + 1), id_(next_id().fetch_add(1)) {
+        if (config.is_unbiased() && budget.visible_noise >= 0.0)
+            throw std::invalid_argument("a budget of visible noise ends by what was seen, so that the image could not be unbiased: "
+                                        "give the unbiased estimator spp or seconds");
         const double pixels = static_cast<double>(film_.tiling.pixels());
         total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
         initial_ = static_cast<std::uint64_t>(std::min(std::round(initial_spp() * pixels), static_cast<double>(total_)));
@@ -228,6 +231,7 @@ private:
 
     bool prepare();
     std::uint64_t batch_size() const;
+    void draw_unbiased(Batch& batch, std::uint64_t size, float passes);
     void draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta);
     std::vector<std::uint32_t> resample(Batch& batch, std::uint64_t room);
     void regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced);

@@ -87,8 +87,11 @@ private:
         const std::size_t tiles = film_.tiling.tiles();
         for (std::size_t step = 0; step < tiles; ++step) {
             const std::size_t t = (tile + step) % tiles;
-            for (std::size_t s = t * Tiling::area; film_.tile_weight(t) > 0.0 && s < (t + 1) * Tiling::area; ++s)
-                if (film_.beta(s) > 0.0f) return static_cast<std::uint32_t>(s);
+            if (!(film_.tile_weight(t) > 0.0)) continue;
+            Film::TileWeights w;
+            film_.weights(static_cast<std::uint32_t>(t), w);
+            for (std::uint32_t i = 0; i < Tiling::area; ++i)
+                if (w.pixel[i] > 0.0f) return static_cast<std::uint32_t>(t * Tiling::area) + i;
         }
         return 0;
     }
