@@ -58,8 +58,8 @@ class Config:
         filter: "box", "tent", "gaussian" (standard deviation a quarter of the radius) or "blackman-harris", by filter
             importance sampling (doi:10.1109/RT.2006.280223).
         filter_radius: pixels, above 0 and at most 16; None: 0.5 for the box, 1 for the tent, 2 for the others.
-        estimator: "consistent": right in the limit; "unbiased": of the right expectation at every count of samples, with
-            no population, no correction and less gain (docs/method.md). Not with a budget of visible noise.
+        estimator: "consistent": right in the limit; "unbiased": of the right expectation at every count of samples,
+            without population and correction, and with less gain (docs/method.md). Not with a budget of visible noise.
         correction: strength of the energy correction of `Film.mean`, in [0, 1]; 0 leaves the plain mean.
         correction_sigma: standard deviation of its smoother, 0.5 to 256 pixels.
         correction_knee: radiance, as a share of its surroundings', at which it is half applied, above 0 and at most 1.

@@ -66,6 +66,7 @@ BAD: list[tuple[str, Any, type[Exception], str]] = [
     ("beta_power", 2.1, ValueError, "expected 0.25 to 2"),
     ("white_luminance", 0, ValueError, "expected cd/m2 above 0"),
     ("white_luminance", math.inf, ValueError, "expected cd/m2 above 0 and below 1e12"),
+    ("estimator", "exact", ValueError, "expected one of consistent, unbiased"),
     ("filter", "mitchell", ValueError, "expected one of box, tent, gaussian, blackman-harris"),
     ("filter", ["box"], ValueError, "expected one of box, tent, gaussian, blackman-harris"),
     ("filter_radius", 0, ValueError, "expected pixels above 0 and at most 16"),
@@ -143,6 +144,7 @@ CHANGED: dict[str, Any] = {
     "beta_power": 0.75,
     "white_luminance": 250.0,
     "filter": "gaussian",
+    "estimator": "unbiased",
     "filter_radius": 1.5,
     "correction": 0.5,
     "correction_sigma": 3.0,
@@ -155,7 +157,7 @@ def test_every_setting_reaches_the_core(name: str) -> None:
     config = Config(**{name: CHANGED[name]})
     assert getattr(config, name) == CHANGED[name] != getattr(Config(), name)
     native = getattr(config._native(), name)
-    if name in ("beta", "filter"):
+    if name in ("beta", "estimator", "filter"):
         assert native == getattr(getattr(_core, name.capitalize()), CHANGED[name])
     else:
         assert (tuple(native) if name == "radii" else native) == CHANGED[name]

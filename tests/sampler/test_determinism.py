@@ -18,6 +18,7 @@ SETTINGS: dict[str, dict[str, Any]] = {
     "uniform": {"pool_share": 1.0, "correction": 0.0},
     "population": {"direct_share": 0.0, "moves": 3, "eliminate": 0.4, "regenerate_pool": 0.5, "population": 60},
     "direct": {"direct_share": 1.0, "beta_power": 1.0},
+    "unbiased": {"estimator": "unbiased"},
     "rare": {"adapt_beta_every": 2, "adapt_alpha_every": 2, "beta": "variance", "evaluate_regenerated": False},
 }
 
