@@ -41,8 +41,8 @@ class Film {
 public:
     // is_signed: radiance may be negative, as single samples of a spectral renderer are outside the gamut of RGB.
     Film(std::uint32_t width, std::uint32_t height, const Config& config, std::uint32_t aovs, bool is_signed = false)
-        : tiling(width, height), sums(tiling.slots()), pool_mean(tiling.slots()), strategy(tiling.slots()), drawn(tiling.slots()),
-          pool_m2(config.is_unbiased() ? tiling.slots() : 0), aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
+        : tiling(width, height), sums(tiling.slots()), pool_mean(tiling.slots()), pool_m2(config.is_unbiased() ? tiling.slots() : 0), strategy(tiling.slots()), drawn(tiling.slots()),
+          aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
           rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), unbiased_(config.is_unbiased()), live_(!uniform_ && !unbiased_ && config.adapt_beta_every == 1) {}
 
     // Adds a batch; radiance holds 3 + aovs floats a sample. Samples that are not finite or negative are left out, and their

@@ -164,7 +164,7 @@ def test_a_speck_leaves_the_rest_alone(index: int, place: str, renderers: Simple
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("times", [1e2, 1e3, 1e5, 1e10, 1e20, 1e35])
 def test_one_pixel_outshines_all_others(times: float, place: str, renderers: SimpleNamespace) -> None:
-    """The energy is the pool's, nothing is lost or NaN, and no neighbour changes by more than a third."""
+    """The energy is the pool's, nothing is lost or NaN, and no neighbour becomes more than about three times as bright."""
 
     def hot(batch: Batch, radiance: np.ndarray) -> None:
         radiance[batch.pixel == PLACES[place]] *= np.float32(times)
@@ -172,7 +172,7 @@ def test_one_pixel_outshines_all_others(times: float, place: str, renderers: Sim
     film = rendered(hot, renderers, spp=64).film
     rest = np.arange(WIDTH * HEIGHT).reshape(HEIGHT, WIDTH) != PLACES[place]
     assert np.isfinite(film.mean).all()
-    assert abs(film.mean[rest] / film.plain_mean[rest] - 1).max() < 1 / 3
+    assert abs(film.mean[rest] / film.plain_mean[rest] - 1).max() < 2.1
     np.testing.assert_allclose(film.mean.sum((0, 1), np.float64), film.pool_mean.sum((0, 1), np.float64), rtol=1e-5)
 
 
@@ -196,11 +196,12 @@ def test_black_images_and_black_pools(renderers: SimpleNamespace, tools: SimpleN
     """Black stays black; light that the pool never saw is taken away, and nothing falls below 0."""
     dark = rendered(lambda batch, radiance: radiance.fill(0), renderers).film
     assert not dark.mean.any()
-    pool = tools.pool_scramble(Sampler(WIDTH, HEIGHT, Budget(spp=1), seed=4))
+    alike = Sampler(WIDTH, HEIGHT, Budget(spp=32), seed=4)
 
     def unseen(batch: Batch, radiance: np.ndarray) -> None:
-        radiance[batch.scramble == pool[batch.pixel]] = 0
-        radiance[(batch.scramble == pool[batch.pixel]) & (batch.index == 0)] = 1e-3  # lest nothing steer
+        of_pool = tools.from_pool(alike, batch)
+        radiance[of_pool] = 0
+        radiance[of_pool & (batch.index == 0)] = 1e-3  # lest nothing steer
 
     film = rendered(unseen, renderers).film
     assert film.plain_mean.mean() > 0.1
