@@ -18,7 +18,7 @@ from pmc_sampler.eval.suite import OWN
 
 STYLES = {"uniform": ("tab:orange", "s"), "PMC": ("tab:blue", "o")}
 NATIVE = ("0.35", "^")
-SHOWN = ("reference", "PMC", "uniform", "+AM2 +R3 +A0.03")
+SHOWN = ("reference", "PMC", "uniform", "+AM2 +R4 +A0.01")
 
 
 def main(arguments: list[str] | None = None) -> int:

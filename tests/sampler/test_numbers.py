@@ -164,7 +164,7 @@ def test_a_speck_leaves_the_rest_alone(index: int, place: str, renderers: Simple
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("times", [1e2, 1e3, 1e5, 1e10, 1e20, 1e35])
 def test_one_pixel_outshines_all_others(times: float, place: str, renderers: SimpleNamespace) -> None:
-    """The energy is the pool's, nothing is lost or NaN, and no neighbour becomes more than about three times as bright."""
+    """The energy is the pool's, nothing is lost or NaN, and no neighbour becomes more than three times as bright."""
 
     def hot(batch: Batch, radiance: np.ndarray) -> None:
         radiance[batch.pixel == PLACES[place]] *= np.float32(times)
