@@ -12,6 +12,7 @@ from .. import images, measures, metrics
 from ..results import Results, write_text
 from ..suite import OWN, Budget, Scene, slug
 from . import figures, pictures, plots, words
+from .claims import claims
 
 _T = TypeVar("_T")
 _HERE = Path(__file__).parent
@@ -35,6 +36,7 @@ def page(found: Results) -> str:
     return environment.get_template("template.html").render(
         suite=found.suite,
         summary=words.summary(found),
+        claims=claims(found),
         provenance=words.provenance(found),
         commands=[
             shlex.join(["pmc-sampler", "bench", str(found.path / "suite.toml"), "-o", str(found.path)]),
