@@ -59,8 +59,10 @@ public:
         threads.ranges(n, 2048, [&](std::size_t first, std::size_t last) {
             std::uint64_t bad = 0;
             for (std::size_t i = boundary(first), end = boundary(last), next; i < end; i = next) {
-                for (next = i + 1; next < end && slot[next] == slot[i];) ++next;
-                if (next + ahead < end) fetch(slot[next + ahead], batch.tag[next + ahead]);
+                next = i;
+                do {
+                    if (next + ahead < end) fetch(slot[next + ahead], batch.tag[next + ahead]);
+                } while (++next < end && slot[next] == slot[i]);
                 bad += add_pixel(batch, i, next, radiance, luminances);
                 tiles_[slot[i] / Tiling::area].stale |= live_;
             }
@@ -269,7 +271,8 @@ private:
 
     // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
     static constexpr std::size_t ahead = 12;
-    void fetch(std::size_t slot, std::uint8_t tag) const {
+    // Inlined by force: GCC takes a function of prefetches alone for one without effect, and drops the call.
+    [[gnu::always_inline]] void fetch(std::size_t slot, std::uint8_t tag) const {
         __builtin_prefetch(&sums[slot], 1);
         if ((tag & Tag::pool) && !uniform_) __builtin_prefetch(&pool_mean[slot], 1);
         if ((tag & Tag::kernel_mask) != Tag::no_kernel) __builtin_prefetch(&strategy[slot], 1);
@@ -283,7 +286,8 @@ private:
         PixelSums& p = sums[slot];
         // Red and green, blue and luminance: vectors of the width that every x86-64 and 64-bit Arm processor has.
         Pair sum_rg = {p.sum[0], p.sum[1]}, m2_rg = {p.m2.get(0), p.m2.get(1)}, m2_by = {p.m2.get(2), p.m2.get(3)};
-        double sum_b = p.sum[2], half[3] = {p.half_mean[0], p.half_mean[1], p.half_mean[2]}, pool[3] = {};
+        Pair half_rg = {p.half_mean[0], p.half_mean[1]};
+        double sum_b = p.sum[2], half_b = p.half_mean[2], pool[3] = {};
         std::uint32_t n = p.n, n_pool = p.n_pool;
         for (std::size_t i = first; i < last; ++i) {
             const float* v = radiance + i * (3 + aovs);
@@ -302,7 +306,8 @@ private:
             sum_b += v[2];
             // A weight of 0 costs less than a branch that nobody can predict.
             const double half_weight = reciprocal(n / 2 + 1) * double(1 - n % 2);
-            for (int c = 0; c < 3; ++c) half[c] += (v[c] - half[c]) * half_weight;
+            half_rg += (x_rg - half_rg) * half_weight;
+            half_b += (v[2] - half_b) * half_weight;
             ++n;
             if (batch.tag[i] & Tag::pool) {
                 if (!uniform_) {
@@ -330,7 +335,10 @@ private:
             p.sum[2] = sum_b;
             p.m2.set({m2_rg[0], m2_rg[1], m2_by[0], m2_by[1]}, rounding);
             // Rounding to the nearest float does for as many samples as most pixels have.
-            for (int c = 0; c < 3; ++c) p.half_mean[c] = n < 4096 ? static_cast<float>(half[c]) : rounded(half[c], rounding);
+            const auto as_float = [&](double mean) { return n < 4096 ? static_cast<float>(mean) : rounded(mean, rounding); };
+            p.half_mean[0] = as_float(half_rg[0]);
+            p.half_mean[1] = as_float(half_rg[1]);
+            p.half_mean[2] = as_float(half_b);
             if (n_pool != p.n_pool && !uniform_) pool_mean[slot].set(pool, rounding);
             p.n = n;
             p.n_pool = n_pool;
