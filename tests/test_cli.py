@@ -55,6 +55,34 @@ class Lamp:
         return np.repeat(value[:, None].astype(np.float32), 3 + self.aovs, axis=1)
 
 
+class Clock:
+    """The clock of `render`, gone by hand."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        from pmc_sampler.cli import render as command
+
+        self._now, self._patch = 0.0, monkeypatch
+        monkeypatch.setattr(command, "time", types.SimpleNamespace(perf_counter=lambda: self._now))
+
+    def advance(self, seconds: float) -> None:
+        self._now += seconds
+
+    def loading_takes(self, seconds: float) -> None:
+        """From now on, for the renderer that is in place."""
+        load = adapters.load
+
+        def slow(*words: Any, **options: Any) -> Any:
+            self.advance(seconds)
+            return load(*words, **options)
+
+        self._patch.setattr(adapters, "load", slow)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
 @pytest.fixture
 def lamp(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., list[dict[str, Any]]]:
     """Call it to put a Lamp in the place of every renderer; gives the list of what was asked for."""
@@ -147,22 +175,10 @@ def test_warnings_are_one_line(
     assert capsys.readouterr().err == "pmc-sampler render: warning: here: the sun is left out\n"
 
 
-def test_setup_is_timed_by_itself(
-    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_setup_is_timed_by_itself(lamp: Callable[..., Any], clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
     """A clock that goes by hand: 5 s while the scene is loaded, 3 s in each batch."""
-    from pmc_sampler.cli import render as command
-
-    now = [0.0]
-    lamp(before=lambda batch: now.__setitem__(0, now[0] + 3.0))
-    load = adapters.load
-
-    def slow(*words: Any, **options: Any) -> Any:
-        now[0] += 5.0
-        return load(*words, **options)
-
-    monkeypatch.setattr(adapters, "load", slow)
-    monkeypatch.setattr(command, "time", types.SimpleNamespace(perf_counter=lambda: now[0]))
+    lamp(before=lambda batch: clock.advance(3.0))
+    clock.loading_takes(5.0)
     assert main(["render", "here", "--spp", "2", "--json"]) == 0
     seconds = json.loads(capsys.readouterr().out)["seconds"]
     assert seconds["setup"] == 5.0
@@ -241,24 +257,12 @@ def test_budgets(lamp: Callable[..., Any], capsys: pytest.CaptureFixture[str]) -
     assert done[("--spp",)] == ("spp", 2.5)
 
 
-def test_seconds_include_the_set_up(
-    lamp: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_seconds_include_the_set_up(lamp: Callable[..., Any], clock: Clock, capsys: pytest.CaptureFixture[str]) -> None:
     """A clock that goes by hand says that loading took all of a budget: one batch is left, and a resumed one adds its
     own. With a second less than a budget of days the render ends by its samples.
     """
-    from pmc_sampler.cli import render as command
-
-    now = [0.0]
     lamp()
-    load = adapters.load
-
-    def slow(*words: Any, **options: Any) -> Any:
-        now[0] += 1e6
-        return load(*words, **options)
-
-    monkeypatch.setattr(adapters, "load", slow)
-    monkeypatch.setattr(command, "time", types.SimpleNamespace(perf_counter=lambda: now[0]))
+    clock.loading_takes(1e6)
     for seconds, spp, done in (("1e6", 1.0, "seconds"), ("2e6", 3.0, "spp")):
         assert main(["render", "here", "--seconds", seconds, "--spp", "3", "--json"]) == 0
         summary = json.loads(capsys.readouterr().out)

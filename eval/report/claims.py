@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from pmc_sampler import luminance, tvi
+from pmc_sampler import luminance
 
 from .. import images, metrics
+from ..baselines.allocation import threshold_deviation
 from ..measures import TILE
 from ..results import Results
 from ..statistics import Interval, ratio_interval
@@ -67,8 +68,8 @@ def noise_map(variance: _Map, mean: _Map, white_luminance: float) -> _Map:
     """
     from scipy.ndimage import uniform_filter
 
-    squares = variance * (white_luminance / tvi(luminance(mean.astype(np.float64)) * white_luminance)) ** 2
-    result: _Map = np.sqrt(np.maximum(uniform_filter(squares, _SMOOTH), 0.0))
+    s = threshold_deviation(variance.astype(np.float64), luminance(mean.astype(np.float64)), white_luminance)
+    result: _Map = np.sqrt(np.maximum(uniform_filter(s**2, _SMOOTH), 0.0))
     return result
 
 

@@ -3,6 +3,7 @@
 
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <vector>
 
 #include "config.hpp"
@@ -36,7 +37,7 @@ private:
     static constexpr int steps = 4096;
     // x in [-1, 1] of the filter's radius.
     static double weight(Filter filter, double x) {
-        constexpr double pi = 3.14159265358979323846;
+        constexpr double pi = std::numbers::pi;
         switch (filter) {
             case Filter::tent:
                 return 1.0 - std::abs(x);

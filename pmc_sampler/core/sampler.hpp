@@ -141,9 +141,10 @@ public:
 
     // Passes that the pool makes in the whole budget, or 16 at least where that has no limit of samples; see Sequences.
     std::uint32_t reserved() const {
-        const double initial = initial_spp(), placed = config.evaluate_regenerated ? config.eliminate : 0.0;
         if (config.is_uniform()) return ~0u;
+        const double initial = initial_spp();
         if (budget.spp == Budget::none) return static_cast<std::uint32_t>(std::clamp(std::ceil(initial), 16.0, 1e9));
+        const double placed = config.evaluate_regenerated ? config.eliminate : 0.0;
         const double own = (1.0 - config.pool_share) * (1.0 - config.direct_share) * placed / std::max(config.moves + placed, 1e-9);
         const double share = config.pool_share + own * config.regenerate_pool;
         return static_cast<std::uint32_t>(std::ceil(std::min(initial, budget.spp) + share * std::max(budget.spp - initial, 0.0)));

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <numbers>
 #include <vector>
 
 #include "parallel.hpp"
@@ -78,7 +79,7 @@ private:
     // The peak of the Gaussian and of its reflections at both borders, of a row of so many pixels.
     static std::vector<float> shares(std::uint32_t size, double sigma) {
         std::vector<float> result(size);
-        const auto at = [&](double distance) { return std::exp(-0.5 * distance * distance / (sigma * sigma)) / (std::sqrt(2.0 * 3.14159265358979323846) * sigma); };
+        const auto at = [&](double distance) { return std::exp(-0.5 * distance * distance / (sigma * sigma)) / (std::sqrt(2.0 * std::numbers::pi) * sigma); };
         for (std::uint32_t i = 0; i < size; ++i)
             result[i] = static_cast<float>(std::clamp(at(0.0) + at(2.0 * i + 1.0) + at(2.0 * (size - i) - 1.0), 1.0 / size, 1.0));
         return result;
