@@ -68,7 +68,8 @@ def noise_map(variance: _Map, mean: _Map, white_luminance: float) -> _Map:
     """
     from scipy.ndimage import uniform_filter
 
-    s = threshold_deviation(variance.astype(np.float64), luminance(mean.astype(np.float64)), white_luminance)
+    y = np.asarray(luminance(mean.astype(np.float64)), np.float64)
+    s = threshold_deviation(variance.astype(np.float64), y, white_luminance)
     result: _Map = np.sqrt(np.maximum(uniform_filter(s**2, _SMOOTH), 0.0))
     return result
 
