@@ -26,6 +26,10 @@ def devices() -> list[Any]:
 
     GPUs come before CPUs. Of several PoCLs (Debian's beside that of pip) the newer one comes first.
     """
+    return sorted((device for device in _all() if not _too_old(device)), key=_rank)
+
+
+def _all() -> list[Any]:
     try:
         platforms = cl.get_platforms()
     except cl.Error:  # what the loader raises where it knows no platform
@@ -36,7 +40,15 @@ def devices() -> list[Any]:
             found.extend(platform.get_devices())
         except cl.Error:  # a platform without a device; the others may have some
             continue
-    return sorted((device for device in found if device.available and device.compiler_available), key=_rank)
+    return [device for device in found if device.available and device.compiler_available]
+
+
+def _too_old(device: Any) -> bool:
+    """Whether this is a PoCL whose compiler does not know the processor, and so compiles nothing for it.
+
+    It calls the processor "generic", which it then refuses as a target on x86 (github.com/pocl/pocl/issues/1049).
+    """
+    return re.search(r"PoCL HSTR: \S*(x86_64|i\d86)\S*-generic\b", device.version) is not None
 
 
 def choose(name: str | None = None) -> Any:
@@ -49,6 +61,11 @@ def choose(name: str | None = None) -> Any:
     """
     found = devices()
     if not found:
+        if old := _all():
+            raise RuntimeError(
+                f"the OpenCL device {label(old[0])} is older than this processor and compiles nothing for it, and there "
+                "is no other; install a newer PoCL (on Debian, apt install pocl-opencl-icd) or a driver for your GPU"
+            )
         raise RuntimeError(f"there is no OpenCL device on this machine; {_INSTALL}")
     if name is None and not os.environ.get(VARIABLE):
         return found[0]

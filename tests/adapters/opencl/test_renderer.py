@@ -199,6 +199,30 @@ def test_no_device(opencl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "pocl-binary-distribution" in str(entry.trouble)
 
 
+def test_a_pocl_that_does_not_know_the_processor(opencl: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On an AMD of family 26 pip's PoCL 3.0 says "error: unknown target CPU 'generic'" of every kernel."""
+    import pyopencl as cl
+    from pmc_sampler.adapters.opencl import devices
+
+    class Device:
+        name, driver_version, type = "pthread-AMD EPYC", "3.0-rc2", cl.device_type.CPU
+        available = compiler_available = True
+
+        def __init__(self, version: str) -> None:
+            self.version, self.platform = f"OpenCL 3.0 PoCL HSTR: pthread-{version}", self
+
+        def get_devices(self) -> list[Any]:
+            return [self]
+
+    old = Device("x86_64-unknown-linux-gnu-generic")
+    monkeypatch.setattr(devices.cl, "get_platforms", lambda: [old])
+    with pytest.raises(RuntimeError, match=r"pthread-AMD EPYC .*3\.0-rc2\) is older .* apt install pocl-opencl-icd"):
+        devices.choose()
+    others = [Device(name) for name in ("x86_64-pc-linux-gnu-znver3", "aarch64-unknown-linux-gnu-generic")]
+    monkeypatch.setattr(devices.cl, "get_platforms", lambda: [old, *others])
+    assert devices.devices() == others
+
+
 def test_a_kernel_that_does_not_build(opencl: Any, monkeypatch: pytest.MonkeyPatch, capfd: Any) -> None:
     from pmc_sampler.adapters.opencl import devices, program
 
