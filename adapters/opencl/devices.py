@@ -63,8 +63,8 @@ def choose(name: str | None = None) -> Any:
     if not found:
         if old := _all():
             raise RuntimeError(
-                f"the OpenCL device {label(old[0])} is older than this processor and compiles nothing for it, and there "
-                "is no other; install a newer PoCL (on Debian, apt install pocl-opencl-icd) or a driver for your GPU"
+                f"the OpenCL device {label(old[0])} is older than this processor and compiles nothing for it, and "
+                "there is no other; install a newer PoCL (on Debian, apt install pocl-opencl-icd) or a driver for your GPU"
             )
         raise RuntimeError(f"there is no OpenCL device on this machine; {_INSTALL}")
     if name is None and not os.environ.get(VARIABLE):
