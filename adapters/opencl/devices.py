@@ -64,7 +64,7 @@ def choose(name: str | None = None) -> Any:
         if old := _all():
             raise RuntimeError(
                 f"the OpenCL device {label(old[0])} is older than this processor and compiles nothing for it, and "
-                "there is no other; install a newer PoCL (on Debian, apt install pocl-opencl-icd) or a driver for your GPU"
+                "there is no other; install a newer PoCL (on Debian, apt install pocl-opencl-icd), or a driver of a GPU"
             )
         raise RuntimeError(f"there is no OpenCL device on this machine; {_INSTALL}")
     if name is None and not os.environ.get(VARIABLE):
