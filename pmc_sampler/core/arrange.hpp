@@ -9,18 +9,10 @@
 #include "film.hpp"
 #include "filter.hpp"
 #include "memory.hpp"
+#include "multiversion.hpp"
 #include "parallel.hpp"
 #include "random.hpp"
 #include "tiling.hpp"
-
-// The loops over random numbers are compiled for several instruction sets and chosen at run time; they hold integer arithmetic
-// and exact conversions only, so the bits are the same on all. Sanitizers do not bear such functions.
-#if defined(__GNUC__) && !defined(__clang__) && defined(__x86_64__) && defined(__linux__) && !defined(__SANITIZE_THREAD__) && \
-    !defined(__SANITIZE_ADDRESS__)
-#define PMC_MULTIVERSION __attribute__((target_clones("avx512f", "avx2", "default")))
-#else
-#define PMC_MULTIVERSION
-#endif
 
 namespace pmc {
 
@@ -63,7 +55,7 @@ public:
         const std::size_t first_pass = n - proposals.pass.size();
         // A stable counting sort by tile: one histogram for each chunk of proposals, so that the order is that of the proposals
         // whatever the number of chunks.
-        const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 65536));
+        const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 8192));
         counts_.resize(chunks * tiles);
         const std::uint32_t* slot = proposals.slot.data();
         threads.run(chunks, [&](std::size_t c) {

@@ -81,12 +81,14 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const Syste
     // One pass over beta serves both: of the draws, evenly spaced ones place members, the others are samples themselves.
     drawn_slots_.resize(members + direct);
     if (members + direct) beta(members + direct, Stream(seed, stream::offset, batch.number).uniform(0), drawn_slots_.data(), threads_);
-    member_slots_.clear();
-    direct_slots_.clear();
-    for (std::uint64_t i = 0, placed = 0; i < members + direct; ++i) {
-        const bool member = (i + 1) * members / (members + direct) > placed;
-        placed += member;
-        (member ? member_slots_ : direct_slots_).push_back(drawn_slots_[i]);
+    member_slots_.resize(members);
+    direct_slots_.resize(direct);
+    std::uint32_t* to[2] = {direct_slots_.data(), member_slots_.data()};
+    for (std::uint64_t i = 0, due = 0; i < members + direct; ++i) {
+        due += members;
+        const bool member = due >= members + direct;
+        due -= member ? members + direct : 0;
+        *to[member]++ = drawn_slots_[i];
     }
     regenerate(batch, replaced);
     fill(batch, size);

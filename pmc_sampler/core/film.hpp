@@ -16,6 +16,7 @@
 #include "perception.hpp"
 #include "rounding.hpp"
 #include "smoother.hpp"
+#include "tile_weights.hpp"
 #include "tiling.hpp"
 
 namespace pmc {
@@ -131,35 +132,23 @@ public:
         return static_cast<float>(rule_ == Beta::gain && p.n ? value / (double(p.n) * p.n) : value);
     }
 
-    // Weight with which each pixel of a tile is drawn, beta to its power, and their sums over the tile's rows. Samples that are
-    // drawn and not told yet count as taken: without that, the batches drawn meanwhile would all go to the same pixels. The
-    // passes of the pool stand in for the pixel's own count of its samples.
-    struct TileWeights {
-        float pixel[Tiling::area], row[Tiling::side];
-    };
+    // Weight with which each pixel of a tile is drawn, beta to its power. Samples that are drawn and not told yet count as taken:
+    // without that, the batches drawn meanwhile would all go to the same pixels. The passes of the pool stand in for the pixel's
+    // own count of its samples.
     void weights(std::uint32_t tile, TileWeights& w) const {
-        const float* from = score_.data() + std::size_t(tile) * Tiling::area;
-        const std::uint32_t* taken = drawn.data() + std::size_t(tile) * Tiling::area;
-        const float passes = tiles_[tile].passes;
-        for (std::uint32_t i = 0; i < Tiling::area; ++i) {
-            // Negative from 2^31 samples on: such a pixel gets no more, lest its count run over.
-            const auto count = static_cast<std::int32_t>(taken[i]);
-            const float inverse = rule_ == Beta::gain ? 1.0f / (static_cast<float>(count) + passes) : 1.0f;
-            w.pixel[i] = count < 0 ? 0.0f : from[i] * inverse * inverse;
-        }
+        const std::size_t first = std::size_t(tile) * Tiling::area;
+        if (rule_ == Beta::gain)
+            gains(score_.data() + first, drawn.data() + first, tiles_[tile].passes, w.pixel);
+        else  // negative counts: see gains()
+            for (std::uint32_t i = 0; i < Tiling::area; ++i) w.pixel[i] = static_cast<std::int32_t>(drawn[first + i]) < 0 ? 0.0f : score_[first + i];
         if (power_ == 2.0)
-            for (float& v : w.pixel) v *= v;
+            square(w.pixel);
         else if (power_ != 1.0)
             for (float& v : w.pixel) v = v > 0.0f ? static_cast<float>(std::pow(double(v), power_)) : 0.0f;
         if (unbiased_)  // some weight for each, so that the other colour has no say in whether there is any
             for (std::uint32_t i = 0; i < Tiling::area; ++i)
                 w.pixel[i] = (i + i / Tiling::side) % 2 == colour_ && tiling.inside(tile * Tiling::area + i) ? std::max(w.pixel[i], 1e-30f) : 0.0f;
-        for (std::uint32_t r = 0; r < Tiling::side; ++r) {
-            // In fours, so that the sum is the same however the compiler vectorises.
-            float sum[4] = {};
-            for (std::uint32_t i = 0; i < Tiling::side; ++i) sum[i % 4] += w.pixel[r * Tiling::side + i];
-            w.row[r] = (sum[0] + sum[1]) + (sum[2] + sum[3]);
-        }
+        sum_columns(w.pixel, w.column);
     }
     // Brings the sums of tiles [first, last) up to date; `passes` of the pool are drawn.
     void weigh(std::size_t first, std::size_t last, float passes) {
@@ -171,7 +160,7 @@ public:
             tiles_[t].passes = std::max(passes, 1.0f);
             tiles_[t].stale = false;
             weights(static_cast<std::uint32_t>(t), w);
-            for (float row : w.row) tiles_[t].weight += row;
+            for (float column : w.column) tiles_[t].weight += column;
         }
     }
     double tile_weight(std::size_t tile) const { return tiles_[tile].weight; }

@@ -67,9 +67,11 @@ inline void corrected_mean(const Film& film, const Config& config, float* out, T
             const float lacking = static_cast<float>(scale * (film.pool_mean[slot].get(c) - out[3 * i + c]));
             if (lacking == 0.0f) return;
             // What the neighbours would change by, as a share of what they are. Far beyond what rare bright paths bring, next to
-            // nothing is moved; a lower limit would leave such paths standing as specks. What is taken away must be there.
+            // nothing is moved; a lower limit would leave such paths standing as specks. What is taken away must be there, even
+            // where the neighbours' mean is this pixel's own light and they are as dark as their spread says.
             const float most = lacking > 0.0f ? 2.0f : 0.5f;
-            const float change = smooth.share(i) * std::abs(lacking) / (spread[i] * mean[i] * std::max(knee, spread[i]));
+            const float brightness = lacking > 0.0f ? std::max(knee, spread[i]) : std::min(1.0f, knee / std::max(1.0f - spread[i], knee));
+            const float change = smooth.share(i) * std::abs(lacking) / (spread[i] * mean[i] * brightness);
             const float share = change <= most ? 1.0f : static_cast<float>(std::pow(double(most) / change, 4.0));
             residual[i] = share > 0.0f ? share * (lacking / spread[i]) : 0.0f;
             kept[i] = lacking - share * lacking;

@@ -1,5 +1,5 @@
 // Systematic sampling of pixels in proportion to their weight (beta to its power): one random offset, equal steps of the
-// cumulative weight (paper, section 6, "deterministic sampling"). Draws come out in slot order.
+// cumulative weight (paper, section 6, "deterministic sampling"). Draws come out tile by tile.
 #pragma once
 
 #include <algorithm>
@@ -31,64 +31,62 @@ public:
 
     double total() const { return starts_.back(); }
 
-    // Writes `count` slots, in order; offset in [0, 1). total() must be above 0.
+    // Writes `count` slots, tile by tile; offset in [0, 1). total() must be above 0.
     void operator()(std::size_t count, float offset, std::uint32_t* slots, ThreadPool& threads) const {
-        const double step = total() / static_cast<double>(count);
-        // Draw i lies where the cumulative weight passes (i + offset) * step.
-        const auto first_at = [&](double weight) {
-            const double i = std::ceil(weight / step - offset);
-            return i <= 0.0 ? std::size_t(0) : std::min(count, static_cast<std::size_t>(i));
+        const double scale = static_cast<double>(count) / total();
+        // Draw i lies where the cumulative weight passes i, in these units. At a weight: its place, and the draws before it.
+        const auto place = [&](double weight) { return weight * scale - offset; };
+        const auto before = [&](double weight) {
+            const double draws = std::ceil(place(weight));
+            return draws <= 0.0 ? std::size_t(0) : std::min(count, static_cast<std::size_t>(draws));
         };
         const std::size_t tiles = film_.tiling.tiles(), blocks = starts_.size() - 1;
         threads.run(blocks, [&](std::size_t b) {
-            std::size_t i = first_at(starts_[b]);
-            const std::size_t end = b + 1 == blocks ? count : first_at(starts_[b + 1]);
-            double next = (static_cast<double>(i) + offset) * step, weight = starts_[b];
-            std::uint32_t last = 0;  // the last pixel of any weight
-            bool found = false;
-            Film::TileWeights w;
-            const auto draw = [&](std::uint32_t slot) {
-                for (; i < end && next < weight; next = (static_cast<double>(++i) + offset) * step) slots[i] = slot;
-            };
-            for (std::size_t t = b * block; t < std::min(tiles, (b + 1) * block) && i < end; ++t) {
-                if (weight + film_.tile_weight(t) <= next) {  // nothing falls into this tile
-                    weight += film_.tile_weight(t);
-                    continue;
-                }
-                film_.weights(static_cast<std::uint32_t>(t), w);
+            const std::size_t last = std::min(tiles, (b + 1) * block), block_end = b + 1 == blocks ? count : before(starts_[b + 1]);
+            double weight = starts_[b];
+            for (std::size_t t = b * block, i = before(weight), end; t < last && i < block_end; ++t, i = end) {
                 const double tile_end = weight + film_.tile_weight(t);
-                for (std::uint32_t r = 0; r < Tiling::side; ++r) {
-                    const double row_end = weight + w.row[r];
-                    if (row_end <= next) {
-                        weight = row_end;
-                        continue;
-                    }
-                    for (std::uint32_t s = r * Tiling::side; s < (r + 1) * Tiling::side; ++s) {
-                        if (!(w.pixel[s] > 0.0f)) continue;
-                        weight += w.pixel[s];
-                        last = static_cast<std::uint32_t>(t) * Tiling::area + s;
-                        found = true;
-                        draw(last);
-                    }
-                    weight = row_end;
-                    if (found) draw(last);
-                }
+                end = t + 1 == last ? block_end : std::min(block_end, before(tile_end));
+                if (end > i) draw(static_cast<std::uint32_t>(t), place(weight) - static_cast<double>(i), scale, end - i, slots + i);
                 weight = tile_end;
             }
-            // The sums above are rounded: a draw that falls between them goes to the last pixel passed.
-            if (i < end && !found) last = some_slot(b * block);
-            for (; i < end; ++i) slots[i] = last;
         });
     }
 
 private:
+    // Writes `count` slots of a tile, at whose head the cumulative weight is `place` draws from the first.
+    void draw(std::uint32_t tile, double place, double scale, std::size_t count, std::uint32_t* slots) const {
+        TileWeights w;
+        film_.weights(tile, w);
+        double start[Tiling::side], up_to[Tiling::side];
+        std::int32_t passed[Tiling::side], counts[Tiling::area];
+        for (std::uint32_t c = 0; c < Tiling::side; ++c) {
+            start[c] = place;
+            passed[c] = c ? static_cast<std::int32_t>(up_to[c - 1]) : 0;
+            place += scale * static_cast<double>(w.column[c]);
+            up_to[c] = c + 1 == Tiling::side ? static_cast<double>(count) : std::clamp(std::ceil(place), static_cast<double>(passed[c]), static_cast<double>(count));
+        }
+        count_draws(w.pixel, scale, start, up_to, passed, counts);
+        const std::uint32_t first = tile * Tiling::area;
+        std::size_t n = 0;
+        // Most pixels get none or one, in an order that no processor can predict: each is written, and the next one over it if it
+        // got none.
+        for (std::uint32_t i = 0; i < Tiling::area && n < count; ++i) {
+            slots[n] = first + i;
+            n += counts[i] > 0;
+            for (std::int32_t k = 1; k < counts[i]; ++k) slots[n++] = first + i;
+        }
+        // The sums are rounded, each in its own way: a draw that falls between them goes to some pixel.
+        for (; n < count; ++n) slots[n] = some_slot(tile);
+    }
+
     // A pixel with weight in the first tile from `tile` on that has one, or before it.
     std::uint32_t some_slot(std::size_t tile) const {
         const std::size_t tiles = film_.tiling.tiles();
         for (std::size_t step = 0; step < tiles; ++step) {
             const std::size_t t = (tile + step) % tiles;
             if (!(film_.tile_weight(t) > 0.0)) continue;
-            Film::TileWeights w;
+            TileWeights w;
             film_.weights(static_cast<std::uint32_t>(t), w);
             for (std::uint32_t i = 0; i < Tiling::area; ++i)
                 if (w.pixel[i] > 0.0f) return static_cast<std::uint32_t>(t * Tiling::area) + i;

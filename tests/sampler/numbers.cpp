@@ -84,7 +84,7 @@ void beta(std::uint64_t updates) {
         if ((round + 1) * size < updates && round % 1024) continue;
         long double total = 0.0L;
         for (std::uint32_t t = 0; t < tiles; ++t) {
-            pmc::Film::TileWeights w;
+            pmc::TileWeights w;
             film.weights(t, w);
             long double sum = 0.0L;
             for (float weight : w.pixel) sum += weight;
