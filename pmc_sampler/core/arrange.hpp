@@ -32,7 +32,7 @@ struct Sequences {
     std::uint32_t shared, beyond;  // keys
     std::uint32_t reserved;
 
-    Sequences(std::uint32_t seed, std::uint32_t reserved) : shared(mix(seed, 2)), beyond(mix(seed, 1)), reserved(reserved) {}
+    explicit Sequences(std::uint32_t seed) : shared(mix(seed, 2)), beyond(mix(seed, 1)), reserved(~0u) {}
 };
 
 // Scrambles from keys, in place, and places in the pixel's square in [0, 1)^2, for samples [0, n).
@@ -48,6 +48,9 @@ class Arranger {
 public:
     Arranger(const Tiling& tiling, Sequences sequences, Filter filter, double filter_radius)
         : tiling_(tiling), sequences_(sequences), filter_(filter, filter_radius) {}
+
+    std::uint32_t reserved() const { return sequences_.reserved; }
+    void reserve(std::uint32_t passes) { sequences_.reserved = passes; }
 
     // Advances film.drawn.
     void operator()(const Proposals& proposals, Film& film, Batch& batch, ThreadPool& threads) {

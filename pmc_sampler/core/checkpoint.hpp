@@ -41,6 +41,8 @@ void Sampler::archive(Archive& a) {
     std::uint64_t cursor = pool_.cursor(), placement = placement_.cursor();
     a.value("pool.cursor", cursor);
     a.value("placement.cursor", placement);
+    std::uint32_t reserve = reserved();
+    a.value("sampler.reserved", reserve);
     a.value("sampler.issued", issued_);
     a.value("sampler.drawn_batches", drawn_batches_);
     a.value("sampler.told", told_);
@@ -62,6 +64,7 @@ void Sampler::archive(Archive& a) {
             throw std::runtime_error("the checkpoint's counts of batches and samples, and what ended it, contradict each other: it is damaged");
         pool_.set_cursor(cursor);
         placement_.set_cursor(placement);
+        arranger_.reserve(reserve);
         elapsed_before_ = seconds;
         started_.reset();
         open_.clear();

@@ -32,6 +32,7 @@ inline bool Sampler::prepare() {
         const std::uint64_t room = config.is_uniform() ? left : initial_ - issued_;
         fill(*batch, std::min({left, room, batch_size()}));
     } else {
+        if (reserved() == ~0u) arranger_.reserve(pool_passes(affordable_spp()));
         const auto passes = static_cast<float>(static_cast<double>(pool_.cursor()) / static_cast<double>(film_.tiling.slots()));
         if (config.is_unbiased())
             draw_unbiased(*batch, std::min(left, batch_size()), passes);

@@ -36,7 +36,7 @@ public:
             std::uint32_t aovs = 0, unsigned threads = 0, bool is_signed = false)
         : config(settings.resolved(width, height)), budget(checked(budget)), seed(seed), threads_(threads),
           film_(width, height, config, aovs, is_signed), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
-          memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, Sequences(key(seed), reserved()), config.filter, config.filter_radius),
+          memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, Sequences(key(seed)), config.filter, config.filter_radius),
           populations_(std::size_t(config.lookahead) + 1), id_(next_id().fetch_add(1)) {
         if (config.is_unbiased() && budget.visible_noise >= 0.0)
             throw std::invalid_argument("a budget of visible noise ends by what was seen, so that the image could not be unbiased: "
@@ -44,6 +44,7 @@ public:
         const double pixels = static_cast<double>(film_.tiling.pixels());
         total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
         initial_ = static_cast<std::uint64_t>(std::min(std::round(initial_spp() * pixels), static_cast<double>(total_)));
+        if (budget.spp != Budget::none && !config.is_uniform()) arranger_.reserve(pool_passes(budget.spp));
     }
     Sampler(const Sampler&) = delete;
     Sampler& operator=(const Sampler&) = delete;
@@ -139,16 +140,9 @@ public:
         return elapsed_before_ + (started_ ? std::chrono::duration<double>(Clock::now() - *started_).count() : 0.0);
     }
 
-    // Passes that the pool makes in the whole budget, or 16 at least where that has no limit of samples; see Sequences.
-    std::uint32_t reserved() const {
-        if (config.is_uniform()) return ~0u;
-        const double initial = initial_spp();
-        if (budget.spp == Budget::none) return static_cast<std::uint32_t>(std::clamp(std::ceil(initial), 16.0, 1e9));
-        const double placed = config.evaluate_regenerated ? config.eliminate : 0.0;
-        const double own = (1.0 - config.pool_share) * (1.0 - config.direct_share) * placed / std::max(config.moves + placed, 1e-9);
-        const double share = config.pool_share + own * config.regenerate_pool;
-        return static_cast<std::uint32_t>(std::ceil(std::min(initial, budget.spp) + share * std::max(budget.spp - initial, 0.0)));
-    }
+    // Passes of the pool that are reserved in the pixels' sequences: all that it makes in a budget of samples. Without one that
+    // is decided when steering begins, by how far the time will go at the pace until then; until it is, all are.
+    std::uint32_t reserved() const { return arranger_.reserved(); }
 
     template <class Archive>
     void archive(Archive& a);
@@ -210,6 +204,7 @@ private:
         } else {
             issued_ -= batch.size();
         }
+        if (!first_told_) first_told_ = {film_.samples, elapsed()};
         if (!config.is_uniform() && config.adapt_beta_every > 1 && told_ % config.adapt_beta_every == 0) film_.adapt_beta(threads_);
         if (done_ == Done::no && budget.visible_noise >= 0.0 && film_.samples + rejected_ >= initial_ && film_.visible_noise(threads_) <= budget.visible_noise)
             done_ = Done::visible_noise;
@@ -224,6 +219,23 @@ private:
         }
     }
 
+    // Passes that the pool makes in so many samples a pixel.
+    std::uint32_t pool_passes(double spp) const {
+        const double initial = initial_spp(), placed = config.evaluate_regenerated ? config.eliminate : 0.0;
+        const double own = (1.0 - config.pool_share) * (1.0 - config.direct_share) * placed / std::max(config.moves + placed, 1e-9);
+        const double share = config.pool_share + own * config.regenerate_pool;
+        return static_cast<std::uint32_t>(std::clamp(std::ceil(std::min(initial, spp) + share * std::max(spp - initial, 0.0)), 1.0, 1e9));
+    }
+    // Samples a pixel that the budget's seconds suffice for, by the samples after the first batch: to that a renderer may add
+    // what it does once, such as compiling.
+    double affordable_spp() const {
+        constexpr double without_limit = 256.0;  // a guess
+        if (!std::isfinite(budget.seconds) || !first_told_) return without_limit;
+        const bool later = film_.samples > first_told_->samples;
+        const double samples = static_cast<double>(film_.samples - (later ? first_told_->samples : 0)), seconds = elapsed() - (later ? first_told_->elapsed : 0.0);
+        const double to_come = std::max(budget.seconds - elapsed(), 0.0) * samples / std::max(seconds, 1e-9);
+        return (static_cast<double>(film_.samples) + to_come) / static_cast<double>(film_.tiling.pixels());
+    }
     double initial_spp() const {
         if (config.initial_spp != Config::automatic) return config.initial_spp;
         return budget.spp == Budget::none ? 4.0 : std::clamp(std::round(budget.spp / 16.0), 4.0, 16.0);
@@ -255,6 +267,11 @@ private:
     Done done_ = Done::no;
     std::optional<Clock::time_point> started_;
     double elapsed_before_ = 0.0;
+    struct Told {
+        std::uint64_t samples;
+        double elapsed;
+    };
+    std::optional<Told> first_told_;  // what there was after the first batch that was told here
 
     // Scratch of one draw and one tell.
     Proposals proposals_;

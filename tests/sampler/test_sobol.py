@@ -4,6 +4,7 @@ scrambles, each of whose tests states its false-alarm rate and rejects a broken 
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from types import SimpleNamespace
 from typing import Any
@@ -232,19 +233,38 @@ def test_the_reserve_is_what_the_pool_takes(name: str, renderers: SimpleNamespac
     assert abs(sampler._native.reserved - count / (46 * 38)) <= 1.5
 
 
-def test_without_a_budget_of_samples_the_reserve_is_a_guess(renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
+def test_passes_beyond_the_reserve(renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
+    """At a pace that nobody knows yet 256 samples a pixel are reckoned with; the pool goes on in its own sequence."""
     sampler = Sampler(20, 10, Budget(seconds=1e6), Config(initial_spp=0.0, pool_share=0.5), seed=4)
-    assert sampler._native.reserved == 16
     indices: dict[bool, set[int]] = {True: set(), False: set()}
-    while sampler.spp < 60:
+    while sampler.spp < 300:
         batch = sampler.ask()
         first = batch.scramble == tools.scrambles(sampler)[batch.pixel]
         for whether in (True, False):
             indices[whether].update(batch.index[first == whether].tolist())
         sampler.tell(batch, renderers.textured(batch))
+    assert 128 <= sampler._native.reserved < 140
     assert indices[True] == set(range(max(indices[True]) + 1))
     assert indices[False] == set(range(max(indices[False]) + 1))
     assert len(indices[False]) > 5
+
+
+def test_seconds_reserve_what_the_time_suffices_for(renderers: SimpleNamespace) -> None:
+    """By the pace of the pilot's batches but the first, which may compile. A second of this machine's is neglected."""
+    pixels, config = 128 * 128, Config(batch=128 * 128, initial_spp=4.0, pool_share=0.25, direct_share=1.0)
+    sampler = Sampler(128, 128, Budget(seconds=10_000), config, seed=4)
+    for number in range(4):
+        assert sampler._native.reserved == 2**32 - 1  # the pilot is the pool's: no pass of it is beyond the reserve
+        batch = sampler.ask()
+        sampler._native.add_elapsed(1000 if number == 0 else 100)
+        sampler.tell(batch, renderers.textured(batch))
+    sampler.ask()
+    # 1300 s are over, and 8700 suffice for 87 samples a pixel more
+    assert sampler.samples == 4 * pixels
+    assert abs(sampler._native.reserved - math.ceil(4 + 0.25 * 87)) <= 1
+    restored = Sampler(128, 128, Budget(seconds=10_000), config, seed=4)
+    restored._native.restore(sampler._native.save())
+    assert restored._native.reserved == sampler._native.reserved
 
 
 @pytest.mark.parametrize("name", ["default", "population", "unseen"])
