@@ -20,8 +20,9 @@ class Config:
     """How the sampler chooses pixels and what image it makes of the samples. Checked on construction.
 
     The batch
-        batch: samples in a batch; None: one for each pixel before anything adapts and one for every fourth pixel after,
-            4096 at least. A `population` that is given sets the size of the batches that adapt.
+        batch: samples in a batch; None: one for each pixel before anything adapts, and after that from one for every
+            fourth pixel to one for each, the more the thinner beta is spread; 4096 at least. A `population` that is
+            given sets the size of the batches that adapt.
         initial_spp: samples a pixel from the stratified pool before anything adapts; None: a sixteenth of the
             budget, held to 4 to 16.
         pool_share: share of each batch from the stratified pool, in [0, 1]; 1 is uniform sampling.

@@ -18,6 +18,16 @@ inline std::uint64_t Sampler::batch_size() const {
     return std::max<std::uint64_t>(film_.tiling.pixels() / (steers ? 4 : 1), 4096);
 }
 
+// As many, or up to a sample a pixel where that tells no less: where the draws are spread so thinly that none of the pixels they go
+// to would have a tenth more samples than it has.
+inline std::uint64_t Sampler::batch_size(const SystematicDraw& beta) const {
+    constexpr double growth = 0.1;
+    const std::uint64_t least = batch_size(), pixels = film_.tiling.pixels();
+    if (config.batch || pixels <= least) return least;
+    const double most = static_cast<double>(pixels) * beta.growth();
+    return most <= growth ? pixels : std::max(least, static_cast<std::uint64_t>(growth / beta.growth()));
+}
+
 // Draws the next batch and queues it; false where the budget is spent.
 inline bool Sampler::prepare() {
     const std::uint64_t left = total_ - issued_;
@@ -64,7 +74,7 @@ inline void Sampler::draw_unbiased(Batch& batch, std::uint64_t size, float passe
 
 inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta) {
     const double own_share = (1.0 - config.pool_share) * (1.0 - config.direct_share);
-    std::uint64_t size = std::min(left, batch_size());
+    std::uint64_t size = std::min(left, batch_size(beta));
     const auto share_of = [](double share, std::uint64_t n) { return static_cast<std::uint64_t>(std::llround(share * static_cast<double>(n))); };
     std::vector<std::uint32_t> replaced;
     if (own_share > 0.0) {

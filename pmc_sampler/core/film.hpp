@@ -161,9 +161,11 @@ public:
             tiles_[t].stale = false;
             weights(static_cast<std::uint32_t>(t), w);
             for (float column : w.column) tiles_[t].weight += column;
+            tiles_[t].crowding = crowding(w.pixel, drawn.data() + t * Tiling::area, tiles_[t].passes);
         }
     }
     double tile_weight(std::size_t tile) const { return tiles_[tile].weight; }
+    double tile_crowding(std::size_t tile) const { return tiles_[tile].crowding; }
     void touch(std::size_t tile) { tiles_[tile].stale |= !uniform_ && (live_ || rule_ == Beta::gain); }
 
     // Share of pixels that are not settled. A pixel is, once it has two samples, where the 90 % interval of its luminance is
@@ -364,9 +366,10 @@ private:
     float score(const PixelSums& p) const { return rule_ == Beta::gain ? score_of<Beta::gain>(p) : score_of<Beta::variance>(p); }
 
     struct Tile {
-        double weight;  // sum of weights() over the tile
-        float passes;   // of the pool, when that was summed
-        bool stale;     // the sum is older than what it is a sum of
+        double weight;    // sum of weights() over the tile
+        double crowding;  // sum of their squares over the pixels' numbers of samples
+        float passes;     // of the pool, when these were summed
+        bool stale;       // the sums are older than what they are sums of
     };
 
     Zeroed<float> score_;

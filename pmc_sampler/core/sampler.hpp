@@ -244,6 +244,7 @@ private:
 
     bool prepare();
     std::uint64_t batch_size() const;
+    std::uint64_t batch_size(const SystematicDraw& beta) const;
     void draw_unbiased(Batch& batch, std::uint64_t size, float passes);
     void draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta);
     std::vector<std::uint32_t> resample(Batch& batch, std::uint64_t room);

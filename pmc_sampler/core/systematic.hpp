@@ -27,9 +27,12 @@ public:
             starts_[b + 1] = sum;
         });
         for (std::size_t b = 1; b < starts_.size(); ++b) starts_[b] += starts_[b - 1];
+        for (std::size_t t = 0; t < tiles; ++t) crowding_ += film.tile_crowding(t);
     }
 
     double total() const { return starts_.back(); }
+    // By what factor each draw would raise the number of samples of the pixel that it goes to, on average over draws.
+    double growth() const { return total() > 0.0 ? crowding_ / total() / total() : 0.0; }
 
     // Writes `count` slots, tile by tile; offset in [0, 1). total() must be above 0.
     void operator()(std::size_t count, float offset, std::uint32_t* slots, ThreadPool& threads) const {
@@ -96,6 +99,7 @@ private:
 
     const Film& film_;
     std::vector<double> starts_;
+    double crowding_ = 0.0;
 };
 
 }  // namespace pmc

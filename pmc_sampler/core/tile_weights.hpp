@@ -35,6 +35,21 @@ PMC_MULTIVERSION inline void sum_columns(const float* values, float* sums) {
     for (std::uint32_t c = 0; c < Tiling::side; ++c) sums[c] = sum[c];
 }
 
+// Sum of weight^2 / n, n being drawn + passes: what SystematicDraw::growth() is made of.
+PMC_MULTIVERSION inline double crowding(const float* weights, const std::uint32_t* drawn, float passes) {
+    double sum[Tiling::side] = {};
+    for (std::uint32_t row = 0; row < Tiling::side; ++row) {
+        for (std::uint32_t c = 0; c < Tiling::side; ++c) {
+            const std::uint32_t i = row * Tiling::side + c;
+            const double weight = weights[i];
+            sum[c] += weight * weight / static_cast<double>(static_cast<float>(static_cast<std::int32_t>(drawn[i])) + passes);
+        }
+    }
+    double total = 0.0;
+    for (std::uint32_t c = 0; c < Tiling::side; ++c) total += sum[c];
+    return total;
+}
+
 // Draws lie at the whole numbers from 0 on of `scale` times the running sum of weights, which goes down one column after the other
 // and is start[c], above -1, at the head of each. counts: how many lie within each pixel. No more than up_to[c] are made before
 // the end of a column; passed[c] were before its head, and are before its end when this returns.

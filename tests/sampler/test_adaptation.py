@@ -298,3 +298,24 @@ def test_places_follow_the_filter(name: str) -> None:
     for axis in (0, 1):
         for other in FILTERS:
             assert (p_value(axis, other) > RARE) == (other == name)
+
+
+@pytest.mark.parametrize("rare", [False, True])
+def test_batches_grow_where_steering_goes_everywhere(rare: bool, renderers: SimpleNamespace) -> None:
+    """From a quarter of a sample a pixel to a whole; where one sample in 500 is bright they stay small, for beta is
+    that of the pixels that have just met one.
+    """
+
+    def radiance(batch: Batch) -> np.ndarray:
+        noise = renderers.noise(batch)
+        return renderers.rgb(1.0 + (100.0 * (noise < 0.002) if rare else noise))  # type: ignore[no-any-return]
+
+    sampler = Sampler(128, 128, Budget(spp=40), seed=1)
+    sizes = []
+    while not sampler.done:
+        batch = sampler.ask()
+        sizes.append(len(batch))
+        sampler.tell(batch, radiance(batch))
+    assert set(sizes[:4]) == {128 * 128}  # the pilot
+    assert sizes[4] == 128 * 128 // 4
+    assert sizes[-2] == (128 * 128 // 4 if rare else 128 * 128)
