@@ -103,13 +103,15 @@ inline void standard_error(const Film& film, float* out, ThreadPool& threads) {
 
 // Means of two disjoint halves of the samples (first, third, ... and second, fourth, ...), 0 where there is none.
 inline void halves(const Film& film, float* first, float* second, ThreadPool& threads) {
+    constexpr double highest = std::numeric_limits<float>::max();
+    const double lowest = film.is_signed ? -highest : 0.0;
     for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
         const PixelSums& p = film.sums[slot];
         const std::uint32_t n1 = p.n_half(), n2 = p.n - n1;
         for (int c = 0; c < 3; ++c) {
             first[3 * i + c] = p.half_mean[c];
             const double rest = n2 ? (p.sum[c] - n1 * double(p.half_mean[c])) / n2 : 0.0;
-            second[3 * i + c] = static_cast<float>(film.is_signed ? rest : std::max(0.0, rest));
+            second[3 * i + c] = static_cast<float>(std::clamp(rest, lowest, highest));  // rounding may go beyond
         }
     });
 }

@@ -4,6 +4,7 @@ are functions of the batch alone, an oracle that recomputes the film in float64,
 
 from __future__ import annotations
 
+import itertools
 import warnings
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pmc_sampler import Batch, Budget, Config, Sampler
+from pmc_sampler import Batch, Budget, Config, Film, Sampler
 
 Radiance = Callable[[Batch], np.ndarray]
 Words = Any  # whatever broadcasts to an array of uint32
@@ -110,12 +111,74 @@ def right_half(width: int, image: Radiance = textured) -> Radiance:
 
 
 # --- The oracle ------------------------------------------------------------------------------------------------------
+def smoother(size: int, sigma: float) -> np.ndarray:
+    """One axis of the energy correction's smoother as a symmetric matrix (size, size): splat to cells, blur, gather."""
+    cell = max(1, int(sigma / 3))
+    cells = -(-size // cell)
+    at = (np.arange(size) + 0.5) / cell - 0.5
+    low, t = np.floor(at).astype(int), at - np.floor(at)
+    gather = np.zeros((size, cells))
+    for i, part in ((low, 1 - t), (low + 1, t)):
+        np.add.at(gather, (np.arange(size), np.clip(i, 0, cells - 1)), part)
+    s = np.sqrt(max(sigma**2 - cell**2 / 3, 0.01)) / cell
+    reach = int(np.ceil(3.5 * s))
+    steps = np.arange(-reach, reach + 1)
+    kernel = np.exp(-0.5 * (steps / s) ** 2)
+    blur = np.zeros((cells, cells))
+    for step, k in zip(steps, kernel / kernel.sum(), strict=True):
+        folded = (np.arange(cells) + step) % (2 * cells)
+        np.add.at(blur, (np.arange(cells), np.minimum(folded, 2 * cells - 1 - folded)), k)
+    result: np.ndarray = gather @ blur @ gather.T / cell
+    return result
+
+
+def peak(size: int, sigma: float) -> np.ndarray:
+    """What share of itself a pixel keeps, along one axis."""
+    i = np.arange(size)
+    distances = np.stack([np.zeros(size), 2.0 * i + 1, 2.0 * (size - i) - 1])
+    gaussian = np.exp(-0.5 * (distances / sigma) ** 2).sum(axis=0) / (np.sqrt(2 * np.pi) * sigma)
+    return np.clip(gaussian, 1 / size, 1.0)
+
+
+def corrected(
+    plain: np.ndarray, pool: np.ndarray, pool_samples: np.ndarray, config: Config, signed: bool
+) -> tuple[np.ndarray, np.ndarray]:
+    """`Film.mean` of (height, width, 3) means, and the size of the terms that it is summed from."""
+    size = np.abs(plain) + np.abs(pool)
+    if config.correction == 0.0 or config.pool_share == 1.0 or config.estimator == "unbiased":
+        return plain, size
+    height, width = pool_samples.shape
+    sigma, knee = config.correction_sigma, config.correction_knee
+    columns, rows = smoother(width, sigma), smoother(height, sigma)
+    image = plain.copy()
+    for c in range(3):
+        P, U = plain[..., c], pool[..., c]
+        blurred = [rows @ a @ columns.T for a in (np.ones_like(P), np.maximum(P, 0))]
+        local = blurred[1] / blurred[0]
+        with np.errstate(all="ignore"):
+            w = np.where(P > 0, P / (P + knee * local), 0.0)
+            spread = rows @ w @ columns.T
+            lacking = np.where(pool_samples > 0, U - P, 0.0)
+            most = np.where(lacking > 0, 2.0, 0.5)
+            own = peak(height, sigma)[:, None] * peak(width, sigma)
+            change = own * np.abs(lacking) / (spread * local * np.maximum(knee, spread))
+            share = np.where(change <= most, 1.0, (most / change) ** 4)
+            share[lacking == 0] = 1.0
+            moved, terms = (np.where(spread > 0, share * a / spread, 0.0) for a in (lacking, size[..., c]))
+        image[..., c] += config.correction * (w * (rows @ moved @ columns.T) + (1 - share) * lacking)
+        size[..., c] += w * (rows @ terms @ columns.T)
+    return np.clip(image, -np.inf if signed else 0.0, np.finfo(np.float32).max), size
+
+
 class Oracle:
-    """Every picture of the film from all batches told, in float64."""
+    """Every picture of the film that follows from all batches told, in float64. Batches count in the order of their
+    numbers, up to the first that is neither told nor dropped.
+    """
 
     def __init__(self, sampler: Sampler) -> None:
         self.sampler = sampler
         self.batches: dict[int, tuple[Batch, np.ndarray]] = {}
+        self.dropped: set[int] = set()
 
     def watch(self, radiance: Radiance) -> Radiance:
         """A renderer that gives the same and is remembered; for one that is told all that it renders."""
@@ -130,19 +193,36 @@ class Oracle:
     def add(self, batch: Batch, radiance: np.ndarray) -> None:
         self.batches[batch.number] = (batch, np.array(radiance))
 
+    def drop(self, batch: Batch) -> None:
+        self.dropped.add(batch.number)
+
     def joined(self) -> SimpleNamespace:
-        """The samples of all batches in the order of their numbers."""
-        told = [self.batches[number] for number in sorted(self.batches)]
-        names = ("positions", "pixel", "index", "scramble")
-        arrays = {name: np.concatenate([getattr(batch, name) for batch, _ in told]) for name in names}
-        return SimpleNamespace(radiance=np.concatenate([values for _, values in told]).astype(np.float64), **arrays)
+        """The samples of all batches that count."""
+        told = []
+        for number in itertools.count():
+            if number in self.batches:
+                told.append(self.batches[number])
+            elif number not in self.dropped:
+                break
+        types = {"positions": np.float32, "pixel": np.uint32, "index": np.uint32, "scramble": np.uint32}
+        shapes = {"positions": (0, 2)}
+        arrays = {
+            name: np.concatenate([np.zeros(shapes.get(name, 0), kind), *(getattr(batch, name) for batch, _ in told)])
+            for name, kind in types.items()
+        }
+        values = [np.zeros((0, 3 + self.sampler.aovs)), *(values for _, values in told)]
+        return SimpleNamespace(radiance=np.concatenate(values).astype(np.float64), **arrays)
 
     def pictures(self) -> dict[str, np.ndarray]:
+        return {name: picture for name, (picture, _) in self._pictures().items()}
+
+    def _pictures(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Each with the mean size of what its pixels are summed from."""
         s = self.sampler
         pixels, shape = s.width * s.height, (s.height, s.width)
         all_ = self.joined()
         rgb_, finite = all_.radiance[:, :3], np.isfinite(all_.radiance).all(axis=1)
-        valid = finite & (rgb_ >= 0).all(axis=1)
+        valid = finite & (s.signed | (rgb_ >= 0).all(axis=1))
         order = np.flatnonzero(valid)[np.argsort(all_.pixel[valid], kind="stable")]
         pixel, values = all_.pixel[order], all_.radiance[order]
         pool = from_pool(s, all_)[order]
@@ -150,28 +230,65 @@ class Oracle:
         def count(mask: np.ndarray) -> np.ndarray:
             return np.bincount(pixel[mask], minlength=pixels)
 
-        def mean(mask: np.ndarray, array: np.ndarray = values) -> np.ndarray:
+        def mean(mask: np.ndarray, array: np.ndarray) -> np.ndarray:
             sums = [np.bincount(pixel[mask], array[mask, c], pixels) for c in range(array.shape[1])]
-            return np.stack(sums, axis=1) / np.maximum(count(mask), 1)[:, None] if sums else np.zeros((pixels, 0))
+            result = np.stack(sums, axis=1) / np.maximum(count(mask), 1)[:, None] if sums else np.zeros((pixels, 0))
+            return result.reshape(*shape, -1)
 
         every = np.ones(len(pixel), bool)
         samples = count(every)
         rank = np.arange(len(pixel)) - (np.cumsum(samples) - samples)[pixel]
-        average = mean(every)
-        squares = mean(every, (values - average[pixel]) ** 2)[:, :3]
+        average, size = mean(every, values), mean(every, np.abs(values))
+        squares = mean(every, (values - average.reshape(pixels, -1)[pixel])[:, :3] ** 2)
+        n = samples.reshape(*shape, 1)
         with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.where(samples[:, None] > 1, np.sqrt(squares / (samples[:, None] - 1.0)), np.inf)
-        return {
-            "samples": samples.reshape(shape),
+            error = np.where(n > 1, np.sqrt(squares / (n - 1.0)), np.inf)
+        counts = {
+            "samples": n[..., 0],
             "pool_samples": count(pool).reshape(shape),
-            "plain_mean": average[:, :3].reshape(*shape, 3),
-            "standard_error": error.reshape(*shape, 3),
-            "pool_mean": mean(pool)[:, :3].reshape(*shape, 3),
-            "first_half": mean(rank % 2 == 0)[:, :3].reshape(*shape, 3),
-            "second_half": mean(rank % 2 == 1)[:, :3].reshape(*shape, 3),
-            "aovs": average[:, 3:].reshape(*shape, -1),
             "rejected": np.array((~valid).sum()),
         }
+        pool_mean = mean(pool, values[:, :3])
+        half = [mean(rank % 2 == i, values[:, :3]) for i in (0, 1)]
+        # All samples of a pixel are in what the second half is computed from.
+        return {
+            **{name: (picture, np.zeros(())) for name, picture in counts.items()},
+            "plain_mean": (average[..., :3], size[..., :3]),
+            "aovs": (average[..., 3:], size[..., 3:]),
+            "standard_error": (error, size[..., :3]),
+            "pool_mean": (pool_mean, mean(pool, np.abs(values[:, :3]))),
+            "first_half": (half[0], mean(rank % 2 == 0, np.abs(values[:, :3]))),
+            "second_half": (half[1], 2 * size[..., :3]),
+            "mean": corrected(average[..., :3], pool_mean, counts["pool_samples"], s.config, s.signed),
+        }
+
+    def check(self, film: Film) -> None:
+        """Raises AssertionError, with the picture's name, where the film is another: counts exactly, the others within
+        a part of what their pixels are summed from. Halves are kept as floats, and what the correction spreads is.
+        """
+        expected = self._pictures()
+        first, second = film.halves
+        assert np.array_equal(film.samples, expected["samples"][0]), "samples"
+        assert self.sampler.rejected == expected["rejected"][0], "rejected"
+        assert self.sampler.samples == expected["samples"][0].sum(), "total"
+        tolerances = {"first_half": 1e-5, "second_half": 1e-5, "mean": 2e-6}
+        actual = {"first_half": first, "second_half": second}
+        for name in ("plain_mean", "aovs", "standard_error", "pool_mean", "first_half", "second_half", "mean"):
+            picture, size = expected[name]
+            got = actual[name] if name in actual else getattr(film, name)
+            with np.errstate(over="ignore"):
+                size = np.maximum(np.abs(picture), size * (1e-7 if name == "standard_error" else 1.0))
+                allowed = tolerances.get(name, 1e-6) * size + 1e-43  # floats end at 1e-45
+                if name == "mean":  # what is far below the brightest is lost beside it, in floats
+                    allowed += 1e-30 * np.abs(picture).max()
+            same = np.isinf(picture) & (got == picture)
+            with np.errstate(invalid="ignore"):
+                same |= np.abs(got - picture) <= allowed
+            wrong = np.argwhere(~same)
+            if len(wrong):
+                place = tuple(wrong[0])
+                what = f"{got[place]}, expected {picture[place]} +- {allowed[place]}"
+                raise AssertionError(f"{name} at {place}, one of {len(wrong)}: {what}")
 
 
 def scrambles(sampler: Sampler) -> np.ndarray:

@@ -1,14 +1,16 @@
-"""Whatever the settings, the size and the renderer: the budget is met to the sample, nothing crashes, and no picture
-holds a NaN. Exact properties of random examples, the same ones on every run.
+"""Whatever the settings, the size and the renderer: the budget is met to the sample, nothing crashes, no picture holds
+a NaN, and the film is that of an oracle in NumPy. Random examples, the same ones on every run.
 """
 
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -142,3 +144,106 @@ def test_any_sampler_with_batches_lost(sampler: Sampler, data: Any, renderers: S
     assert sampler.done == "spp"
     assert sampler.samples == max(1, math.floor(sampler.budget.spp * pixels + 0.5))  # type: ignore[operator]
     assert sampler.film.samples.sum() == sampler.samples
+
+
+# --- The film against the oracle -------------------------------------------------------------------------------------
+@st.composite
+def any_samplers(draw: Any) -> Sampler:
+    """Any settings, or near a preset; with channels besides RGB, and where radiance may be negative, too."""
+    preset = draw(st.sampled_from(["any", "default", "uniform", "paper", "unbiased"]))
+    made = draw(samplers())
+    config, size = made.config, (made.width, made.height)
+    if preset != "any":
+        radii = tuple(min(radius, float(max(size))) for radius in (5.0, 10.0, 50.0))
+        changes = {name: getattr(config, name) for name in ("batch", "lookahead", "filter", "filter_radius")}
+        config = {
+            "default": Config,
+            "uniform": Config.uniform,
+            "paper": lambda **changes: Config.paper(*size, radii=radii, **changes),
+            "unbiased": lambda **changes: Config(estimator="unbiased", **changes),
+        }[preset](**changes)
+    aovs, signed = draw(st.integers(0, 2)), draw(st.booleans())
+    return Sampler(*size, made.budget, config, seed=made.seed, aovs=aovs, threads=1, signed=signed)
+
+
+@st.composite
+def radiances(draw: Any) -> Any:
+    """Renderers: values over up to 60 powers of ten, of either sign, black, rare, NaN, infinite."""
+    scale, spread = draw(st.integers(-40, 37)), draw(st.sampled_from([1.0, 8.0, 30.0, 60.0, 0.0]))
+    dark, bad = draw(st.sampled_from([0.0, 0.0, 0.5, 0.97])), draw(st.sampled_from([0.0, 0.0, 0.1, 0.45]))
+    negative = draw(shares)
+
+    def radiance(batch: Batch, sampler: Sampler, renderers: SimpleNamespace) -> np.ndarray:
+        largest = np.finfo(np.float32).max
+        channels = 3 + sampler.aovs
+        noise = np.stack([renderers.noise(batch, c) for c in range(channels)], axis=1)
+        values = np.minimum(10.0 ** (scale + spread * (noise - 0.5)), largest)
+        values[renderers.noise(batch, 21) < dark] = 0.0
+        minus = renderers.noise(batch, 22) < negative
+        values[minus, 0 if sampler.signed else 3 :] *= -1
+        places = np.flatnonzero(renderers.noise(batch, 23) < bad)[: len(batch) // 2]
+        values[places, places % channels] = np.resize([np.nan, np.inf, -np.inf], len(places))
+        if not sampler.signed:
+            below = places[places % 4 == 0]
+            values[below, below % 3] = -(10.0**scale)
+        return values.astype(np.float32)
+
+    return radiance
+
+
+def told(sampler: Sampler, oracle: Any, radiance: Any, data: Any, path: Path, renderers: SimpleNamespace) -> Any:
+    """All batches of a budget told, lost and put back in any order, with a checkpoint somewhere; the oracle of them."""
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    truth, open_ = oracle(sampler), []
+    saved = data.draw(st.none() | st.integers(0, sampler._native.total - 1))
+    while not sampler.done:
+        if saved is not None and sampler.samples + sampler.rejected >= saved:
+            sampler.save(path)
+            truth.check(sampler.film)
+            sampler = truth.sampler = Sampler.load(path, threads=1)
+            truth.check(sampler.film)
+            saved = None
+            open_.clear()  # they are asked again
+        if not open_ or rng.random() < 0.6:
+            try:
+                open_.append(sampler.ask())
+                continue
+            except RuntimeError:
+                assert open_, "nothing is open, and still ask refuses"
+        batch = open_.pop(rng.integers(len(open_)))
+        action = rng.choice(["tell", "drop", "put_back"], p=[0.9, 0.05, 0.05])
+        if action == "tell":
+            values = radiance(batch, sampler, renderers)
+            sampler.tell(batch, values)
+            truth.add(batch, values)
+        else:
+            getattr(sampler, action)(batch)
+            if action == "drop":
+                truth.drop(batch)
+    return truth
+
+
+def against_the_oracle(
+    sampler: Sampler, radiance: Any, data: Any, oracle: Any, renderers: SimpleNamespace, folder: Path
+) -> None:
+    truth = told(sampler, oracle, radiance, data, folder / "state", renderers)
+    assert truth.sampler.samples + truth.sampler.rejected == sampler._native.total
+    truth.check(truth.sampler.film)
+
+
+@given(sampler=any_samplers(), radiance=radiances(), data=st.data())
+@settings(exactly, max_examples=250)
+def test_any_film(
+    sampler: Sampler, radiance: Any, data: Any, oracle: Any, renderers: SimpleNamespace, tmp_path_factory: Any
+) -> None:
+    """Counts exactly, all pictures within the tolerances of `Oracle.check`."""
+    against_the_oracle(sampler, radiance, data, oracle, renderers, tmp_path_factory.getbasetemp())
+
+
+@pytest.mark.long
+@given(sampler=any_samplers(), radiance=radiances(), data=st.data())
+@settings(exactly, max_examples=5000, derandomize=False)
+def test_any_film_at_length(
+    sampler: Sampler, radiance: Any, data: Any, oracle: Any, renderers: SimpleNamespace, tmp_path_factory: Any
+) -> None:
+    against_the_oracle(sampler, radiance, data, oracle, renderers, tmp_path_factory.getbasetemp())
