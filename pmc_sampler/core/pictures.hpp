@@ -71,8 +71,9 @@ inline void corrected_mean(const Film& film, const Config& config, float* out, T
             // where the neighbours' mean is this pixel's own light and they are as dark as their spread says.
             const float most = lacking > 0.0f ? 2.0f : 0.5f;
             const float brightness = lacking > 0.0f ? std::max(knee, spread[i]) : std::min(1.0f, knee / std::max(1.0f - spread[i], knee));
-            const float change = smooth.share(i) * std::abs(lacking) / (spread[i] * mean[i] * brightness);
-            const float share = change <= most ? 1.0f : static_cast<float>(std::pow(double(most) / change, 4.0));
+            // In doubles: far below the brightest both products would be 0 in floats.
+            const double change = double(smooth.share(i)) * std::abs(lacking) / (double(spread[i]) * mean[i] * brightness);
+            const float share = change <= most ? 1.0f : static_cast<float>(std::pow(most / change, 4.0));
             residual[i] = share > 0.0f ? share * (lacking / spread[i]) : 0.0f;
             kept[i] = lacking - share * lacking;
         });

@@ -225,6 +225,26 @@ def test_black_images_and_black_pools(renderers: SimpleNamespace, tools: SimpleN
     assert film.mean.mean() < film.plain_mean.mean() / 5
 
 
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("sigma", [1.0, 4.0])
+def test_specks_far_below_the_brightest(sigma: float, signed: bool, renderers: SimpleNamespace) -> None:
+    """A column of 3e37 and, beyond its neighbourhood, single pixels of 1e-6: these, as shares of the brightest, are at
+    the end of floats. No NaN, and they stay what they are.
+    """
+
+    def radiance(batch: Batch) -> np.ndarray:
+        column = batch.pixel % WIDTH
+        grey = np.where(column == 0, 3e37, 1e-6 * (batch.pixel % 7 == 0)) * (0.5 + renderers.noise(batch))
+        return renderers.rgb(np.where(signed & (renderers.noise(batch, 1) < 0.5), -grey, grey))  # type: ignore[no-any-return]
+
+    sampler = Sampler(WIDTH, HEIGHT, Budget(spp=16), Config(correction_sigma=sigma, initial_spp=2.0), 4, signed=signed)
+    sampler.run(radiance)
+    film = sampler.film
+    assert np.isfinite(film.mean).all()
+    assert (film.plain_mean[:, 30:] != 0).any()
+    assert abs(film.mean[:, 30:]).max() < 1e-5
+
+
 def test_constant_images_have_no_variance() -> None:
     """Whatever the value: no rounding may look like noise that sampling could remove."""
     for value in (0.1, 1 / 3, 7e11, 3e-13):
@@ -299,15 +319,44 @@ def test_draws_among_33_million_pixels(image: str, renderers: SimpleNamespace) -
     assert drawn.max() <= 1
 
 
+LARGEST = (32768, 16384)
+
+
 @pytest.mark.long
-def test_the_largest_image(renderers: SimpleNamespace) -> None:
-    """32768x16384: batches of any part of it, positions in their pixels, counts exact. Its film takes memory only where
-    samples fall.
+@pytest.mark.parametrize("config", ["default", "uniform"])
+@pytest.mark.parametrize("size", [(8192, 8192), (65535, 1021), (1021, 65535), LARGEST])
+def test_the_largest_images(
+    size: tuple[int, int], config: str, renderers: SimpleNamespace, tools: SimpleNamespace
+) -> None:
+    """Batches of all parts of the image, positions in their pixels, each pixel once in a pass of the pool, steering to
+    where the noise is, counts exact. The film takes memory only where samples fall, but address space for all of it,
+    which a machine may refuse.
     """
-    sampler = Sampler(32768, 16384, Budget(spp=2**21 / 2**29), Config(initial_spp=0.002, batch=2**18), seed=2)
+    width, height = size
+    half = 2**17 / (width * height)
+    settings = {"batch": 2**15, "lookahead": 1}
+    made = Config.uniform(**settings) if config == "uniform" else Config(initial_spp=half, **settings)
+    try:
+        sampler = Sampler(width, height, Budget(spp=2 * half), made, seed=2)
+    except MemoryError as error:
+        if size != LARGEST:
+            raise
+        pytest.skip(f"{error} (as address space: /proc/sys/vm/overcommit_memory of 1 grants it)")
+    told: dict[bool, list[np.ndarray]] = {True: [], False: []}
     while not sampler.done:
         batch = sampler.ask()
-        assert np.array_equal(np.floor(batch.positions[:, 0]), batch.pixel % 32768)
-        assert np.array_equal(np.floor(batch.positions[:, 1]), batch.pixel // 32768)
+        x, y = batch.pixel % width, batch.pixel // width
+        assert np.array_equal(np.floor(batch.positions), np.stack([x, y], axis=1))
+        assert y.max() < height
+        of_pool = batch.index < sampler._native.reserved
+        told[True].append(batch.pixel[of_pool])
+        told[False].append(batch.pixel[~of_pool])
         sampler.tell(batch, renderers.textured(batch))
-    assert sampler.samples == 2**21
+    pool, steered = (np.concatenate(told[of_pool]) for of_pool in (True, False))
+    assert sampler.samples == len(pool) + len(steered) == 2**18
+    assert sampler.rejected == 0
+    assert len(np.unique(pool)) == len(pool)  # all are of the first pass
+    # Evenly over the image: 64 parts of it.
+    parts = np.bincount(pool // width * 8 // height * 8 + pool % width * 8 // width, minlength=64)
+    assert parts.min() > 0.9 * len(pool) / 64
+    assert len(steered) == 0 if config == "uniform" else len(steered) > 2**16
