@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -36,7 +37,7 @@ class Deadline:
         answer: queue.SimpleQueue[_Answer] = queue.SimpleQueue()
         self._calls.put((argument, answer))
         try:
-            returned, value = answer.get(timeout=self._seconds)
+            returned, value = self._wait(answer)
         except BaseException as error:  # an interrupt gives it up, too
             _given_up.append(self._thread)
             self.close()
@@ -46,6 +47,17 @@ class Deadline:
         if not returned:
             raise value
         return value
+
+    def _wait(self, answer: queue.SimpleQueue[_Answer]) -> _Answer:
+        # Not all at once: a signal that comes just before the wait is only noticed after it.
+        end = time.monotonic() + self._seconds
+        while True:
+            left = end - time.monotonic()
+            try:
+                return answer.get(timeout=min(max(left, 0.0), 1.0))
+            except queue.Empty:
+                if left <= 1.0:
+                    raise
 
     def close(self) -> None:
         """Lets the thread end, once its function has returned; another call starts another."""
