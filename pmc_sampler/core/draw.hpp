@@ -42,7 +42,7 @@ inline bool Sampler::prepare() {
         const std::uint64_t room = config.is_uniform() ? left : initial_ - issued_;
         fill(*batch, std::min({left, room, batch_size()}));
     } else {
-        if (reserved() == ~0u) arranger_.reserve(pool_passes(affordable_spp()));
+        if (reserved() == ~0u) reserve(pool_passes(affordable_spp()));
         const auto passes = static_cast<float>(static_cast<double>(pool_.cursor()) / static_cast<double>(film_.tiling.slots()));
         if (config.is_unbiased())
             draw_unbiased(*batch, std::min(left, batch_size()), passes);
@@ -59,7 +59,7 @@ inline bool Sampler::prepare() {
 // Of the samples that are not the pool's each colour gets its share, whatever was seen; see Film::guide().
 inline void Sampler::draw_unbiased(Batch& batch, std::uint64_t size, float passes) {
     const std::uint64_t pixels = film_.tiling.pixels();
-    const std::uint64_t direct = size - static_cast<std::uint64_t>(std::llround(config.pool_share * static_cast<double>(size)));
+    const std::uint64_t direct = size - pool_share_of(size);
     const std::uint64_t counts[2] = {direct - direct * (pixels / 2) / pixels, direct * (pixels / 2) / pixels};
     film_.guide(threads_);
     direct_slots_.resize(direct);
@@ -86,7 +86,7 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const Syste
         batch.iteration_samples = config.population && size < left ? own : std::min(own, share_of(own_share, size));
     }
     const bool known = beta.total() > 0.0;
-    const std::uint64_t pool = std::min(share_of(config.pool_share, size), size - batch.iteration_samples);
+    const std::uint64_t pool = std::min(pool_share_of(size), size - batch.iteration_samples);
     const std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
     const std::uint64_t members = known ? replaced.size() - share_of(config.regenerate_pool, replaced.size()) : 0;
     // One pass over beta serves both: of the draws, evenly spaced ones place members, the others are samples themselves.

@@ -44,7 +44,12 @@ public:
         const double pixels = static_cast<double>(film_.tiling.pixels());
         total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
         initial_ = static_cast<std::uint64_t>(std::min(std::round(initial_spp() * pixels), static_cast<double>(total_)));
-        if (budget.spp != Budget::none && !config.is_uniform()) arranger_.reserve(pool_passes(budget.spp));
+        if (budget.spp != Budget::none && !config.is_uniform()) {
+            const double initial = initial_spp(), passes = pool_passes(budget.spp), whole = std::round(passes);
+            const bool by_share_alone = passes == initial + config.pool_share * (budget.spp - initial);
+            if (by_share_alone && whole > initial) pool_share_ = (whole - initial) / (budget.spp - initial);
+            reserve(by_share_alone ? std::max(whole, std::ceil(initial)) : passes);
+        }
     }
     Sampler(const Sampler&) = delete;
     Sampler& operator=(const Sampler&) = delete;
@@ -219,12 +224,17 @@ private:
         }
     }
 
-    // Passes that the pool makes in so many samples a pixel.
-    std::uint32_t pool_passes(double spp) const {
+    // Passes that the pool makes in so many samples a pixel, by the settings.
+    double pool_passes(double spp) const {
         const double initial = initial_spp(), placed = config.evaluate_regenerated ? config.eliminate : 0.0;
         const double own = (1.0 - config.pool_share) * (1.0 - config.direct_share) * placed / std::max(config.moves + placed, 1e-9);
-        const double share = config.pool_share + own * config.regenerate_pool;
-        return static_cast<std::uint32_t>(std::clamp(std::ceil(std::min(initial, spp) + share * std::max(spp - initial, 0.0)), 1.0, 1e9));
+        return spp <= initial ? spp : initial + (config.pool_share + own * config.regenerate_pool) * (spp - initial);
+    }
+    void reserve(double passes) { arranger_.reserve(static_cast<std::uint32_t>(std::clamp(std::ceil(passes), 1.0, 1e9))); }
+    // Of the next `size` samples of a batch that adapts, how many are the pool's: in all, its share of what came after the first.
+    std::uint64_t pool_share_of(std::uint64_t size) const {
+        const auto until = [&](std::uint64_t samples) { return std::llround(pool_share_ * static_cast<double>(samples - std::min(samples, initial_))); };
+        return static_cast<std::uint64_t>(until(issued_ + size) - until(issued_));
     }
     // Samples a pixel that the budget's seconds suffice for, by the samples after the first batch: to that a renderer may add
     // what it does once, such as compiling.
@@ -260,6 +270,9 @@ private:
     std::vector<Population> populations_;  // batch k moves the (k mod (lookahead + 1))-th: the last batch of that one is told
 
     std::uint64_t id_, total_ = 0, initial_ = 0;
+    // config.pool_share, or what is near it and lets the pool end with a whole pass: a pixel that lacks the last one, or has one
+    // beyond the reserve, has a gap in its sequence (Sequences).
+    double pool_share_ = config.pool_share;
     std::uint64_t issued_ = 0;  // samples drawn, less those of dropped batches
     std::uint64_t drawn_batches_ = 0, told_ = 0, rejected_ = 0;
     std::deque<std::shared_ptr<const Batch>> prepared_;

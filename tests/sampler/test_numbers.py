@@ -166,7 +166,7 @@ def test_a_speck_leaves_the_rest_alone(index: int, place: str, renderers: Simple
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("times", [1e2, 1e3, 1e5, 1e10, 1e20, 1e35])
 def test_one_pixel_outshines_all_others(times: float, place: str, renderers: SimpleNamespace) -> None:
-    """The energy is the pool's, nothing is lost or NaN, and no neighbour becomes more than three times as bright."""
+    """The energy is the pool's, nothing is lost or NaN, and no neighbour changes by more than it may."""
 
     def hot(batch: Batch, radiance: np.ndarray) -> None:
         radiance[batch.pixel == PLACES[place]] *= np.float32(times)
@@ -178,17 +178,20 @@ def test_one_pixel_outshines_all_others(times: float, place: str, renderers: Sim
     np.testing.assert_allclose(film.mean.sum((0, 1), np.float64), film.pool_mean.sum((0, 1), np.float64), rtol=1e-5)
 
 
+@pytest.mark.parametrize("times", [1e3, 1e4, 1e5])
 @pytest.mark.parametrize("seed", range(16, 28))
-def test_what_a_bright_pixel_has_too_much_is_not_taken_from_the_dark(seed: int, renderers: SimpleNamespace) -> None:
-    """Its noise is 20 times all that its neighbours have; an earlier limit let it wipe them out with seeds 16, 22 and
-    27.
+def test_a_bright_pixel_s_noise_leaves_the_dark_dark(seed: int, times: float, renderers: SimpleNamespace) -> None:
+    """It is up to 20 times all that the neighbours have, who become up to 6 times as bright and no less than a quarter.
+    With an earlier limit nothing was left of them where its pool had too little, as with 1e5 and seeds 16, 22 and 27.
     """
 
     def hot(batch: Batch, radiance: np.ndarray) -> None:
-        radiance[batch.pixel == PLACES["middle"]] *= np.float32(1e5)
+        radiance[batch.pixel == PLACES["middle"]] *= np.float32(times)
 
     film = rendered(hot, renderers, spp=64, seed=seed).film
-    assert (film.mean / film.plain_mean).min() > 0.3
+    ratio = film.mean / film.plain_mean
+    assert ratio.min() > 0.25
+    assert ratio.max() < 6
     np.testing.assert_allclose(film.mean.sum((0, 1), np.float64), film.pool_mean.sum((0, 1), np.float64), rtol=1e-5)
 
 
