@@ -69,10 +69,9 @@ inline void corrected_mean(const Film& film, const Config& config, float* out, T
             // What the neighbours would change by, as a share of what they are. Far beyond what rare bright paths bring, next to
             // nothing is moved; a lower limit would leave such paths standing as specks. How bright they are, in units of the
             // mean, follows from their spread: it is the lower value where they are alike, the higher where some are bright and
-            // take most of it. What is taken away must be there, so that the lower counts.
+            // take most of it. What is taken away must be there, so that the lower counts; what is added does less harm.
             const float most = lacking > 0.0f ? 2.0f : 0.5f;
-            const float alike = std::min(1.0f, knee / std::max(1.0f - spread[i], knee)), mixed = std::max(knee, spread[i]);
-            const float brightness = lacking > 0.0f ? std::sqrt(alike * mixed) : alike;
+            const float brightness = lacking > 0.0f ? std::max(knee, spread[i]) : std::min(1.0f, knee / std::max(1.0f - spread[i], knee));
             // In doubles: far below the brightest both products would be 0 in floats.
             const double change = double(smooth.share(i)) * std::abs(lacking) / (double(spread[i]) * mean[i] * brightness);
             const float share = change <= most ? 1.0f : static_cast<float>(std::pow(most / change, 4.0));

@@ -162,7 +162,7 @@ def corrected(
             most = np.where(lacking > 0, 2.0, 0.5)
             own = peak(height, sigma)[:, None] * peak(width, sigma)
             alike = np.minimum(1.0, knee / np.maximum(1 - spread, knee))
-            brightness = np.where(lacking > 0, np.sqrt(alike * np.maximum(knee, spread)), alike)
+            brightness = np.where(lacking > 0, np.maximum(knee, spread), alike)
             change = own * np.abs(lacking) / (spread * local * brightness)
             share = np.where(change <= most, 1.0, (most / change) ** 4)
             share[lacking == 0] = 1.0

@@ -174,15 +174,17 @@ def test_one_pixel_outshines_all_others(times: float, place: str, renderers: Sim
     film = rendered(hot, renderers, spp=64).film
     rest = np.arange(WIDTH * HEIGHT).reshape(HEIGHT, WIDTH) != PLACES[place]
     assert np.isfinite(film.mean).all()
-    assert abs(film.mean[rest] / film.plain_mean[rest] - 1).max() < 2.1
+    assert (film.mean[rest] / film.plain_mean[rest]).max() < 12
+    assert (film.mean[rest] / film.plain_mean[rest]).min() > 0.2
     np.testing.assert_allclose(film.mean.sum((0, 1), np.float64), film.pool_mean.sum((0, 1), np.float64), rtol=1e-5)
 
 
 @pytest.mark.parametrize("times", [1e3, 1e4, 1e5])
 @pytest.mark.parametrize("seed", range(16, 28))
 def test_a_bright_pixel_s_noise_leaves_the_dark_dark(seed: int, times: float, renderers: SimpleNamespace) -> None:
-    """It is up to 20 times all that the neighbours have, who become up to 6 times as bright and no less than a quarter.
-    With an earlier limit nothing was left of them where its pool had too little, as with 1e5 and seeds 16, 22 and 27.
+    """It is up to 20 times all that the neighbours have. At most they become 11 times as bright, where the mean that the
+    limit goes by is five times what they are, or a fifth. With an earlier limit nothing was left of them where its pool
+    had too little, as with 1e5 and seeds 16, 22 and 27.
     """
 
     def hot(batch: Batch, radiance: np.ndarray) -> None:
@@ -190,8 +192,8 @@ def test_a_bright_pixel_s_noise_leaves_the_dark_dark(seed: int, times: float, re
 
     film = rendered(hot, renderers, spp=64, seed=seed).film
     ratio = film.mean / film.plain_mean
-    assert ratio.min() > 0.25
-    assert ratio.max() < 6
+    assert ratio.min() > 0.2
+    assert ratio.max() < 12
     np.testing.assert_allclose(film.mean.sum((0, 1), np.float64), film.pool_mean.sum((0, 1), np.float64), rtol=1e-5)
 
 
