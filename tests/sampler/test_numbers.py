@@ -182,9 +182,9 @@ def test_one_pixel_outshines_all_others(times: float, place: str, renderers: Sim
 @pytest.mark.parametrize("times", [1e3, 1e4, 1e5])
 @pytest.mark.parametrize("seed", range(16, 28))
 def test_a_bright_pixel_s_noise_leaves_the_dark_dark(seed: int, times: float, renderers: SimpleNamespace) -> None:
-    """It is up to 20 times all that the neighbours have. At most they become 11 times as bright, where the mean that the
-    limit goes by is five times what they are, or a fifth. With an earlier limit nothing was left of them where its pool
-    had too little, as with 1e5 and seeds 16, 22 and 27.
+    """It is up to 20 times all that the neighbours have. At most they become 11 times as bright, where the mean that
+    the limit goes by is five times what they are, or a fifth. With an earlier limit nothing was left of them where its
+    pool had too little, as with 1e5 and seeds 16, 22 and 27.
     """
 
     def hot(batch: Batch, radiance: np.ndarray) -> None:
