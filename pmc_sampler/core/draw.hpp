@@ -18,8 +18,8 @@ inline std::uint64_t Sampler::batch_size() const {
     return std::max<std::uint64_t>(film_.tiling.pixels() / (steers ? 4 : 1), 4096);
 }
 
-// As many, or up to a sample a pixel where that tells no less: where the draws are spread so thinly that none of the pixels they go
-// to would have a tenth more samples than it has.
+// As many, or up to a sample a pixel where that tells no less: where the draws are spread so thinly that the pixels which they go to
+// would on average have no tenth more samples than they have.
 inline std::uint64_t Sampler::batch_size(const SystematicDraw& beta) const {
     constexpr double growth = 0.1;
     const std::uint64_t least = batch_size(), pixels = film_.tiling.pixels();

@@ -45,10 +45,10 @@ public:
         total_ = budget.spp == Budget::none ? unlimited : static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
         initial_ = static_cast<std::uint64_t>(std::min(std::round(initial_spp() * pixels), static_cast<double>(total_)));
         if (budget.spp != Budget::none && !config.is_uniform()) {
-            const double initial = initial_spp(), passes = pool_passes(budget.spp), whole = std::round(passes);
-            const bool by_share_alone = passes == initial + config.pool_share * (budget.spp - initial);
-            if (by_share_alone && whole > initial) pool_share_ = (whole - initial) / (budget.spp - initial);
-            reserve(by_share_alone ? std::max(whole, std::ceil(initial)) : passes);
+            const double initial = initial_spp(), whole = std::round(pool_passes(budget.spp));
+            // Members that the pool places would come on top of its share.
+            if (config.regenerate_pool == 0.0 && whole > initial) pool_share_ = (whole - initial) / (budget.spp - initial);
+            reserve(whole);
         }
     }
     Sampler(const Sampler&) = delete;
@@ -230,7 +230,7 @@ private:
         const double own = (1.0 - config.pool_share) * (1.0 - config.direct_share) * placed / std::max(config.moves + placed, 1e-9);
         return spp <= initial ? spp : initial + (config.pool_share + own * config.regenerate_pool) * (spp - initial);
     }
-    void reserve(double passes) { arranger_.reserve(static_cast<std::uint32_t>(std::clamp(std::ceil(passes), 1.0, 1e9))); }
+    void reserve(double passes) { arranger_.reserve(static_cast<std::uint32_t>(std::clamp(std::round(passes), 1.0, 1e9))); }
     // Of the next `size` samples of a batch that adapts, how many are the pool's: in all, its share of what came after the first.
     std::uint64_t pool_share_of(std::uint64_t size) const {
         const auto until = [&](std::uint64_t samples) { return std::llround(pool_share_ * static_cast<double>(samples - std::min(samples, initial_))); };
