@@ -55,8 +55,7 @@ class Film:
         """The paper's strategy image (its Figure 3), in [0, 1].
 
         Red, green and blue are how often the kernel's first, second and third radius proposed the pixel's samples,
-        grey where
-        none did; the brightness is the pixel's sample count over the largest in the image.
+        grey where none did; the brightness is the pixel's sample count over the largest in the image.
         """
         return self._native.strategy()
 

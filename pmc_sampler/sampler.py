@@ -139,10 +139,9 @@ class Sampler:
         """The radiance of a batch: (n, 3 + aovs) floats, linear RGB first, in the batch's order.
 
         Samples that are not finite or negative do not enter the film; they are counted in `rejected`. Raises
-        ValueError or
-        TypeError, and leaves the sampler as it was, for a wrong shape or type, a batch told or dropped before or
-        drawn by
-        another sampler, and where more than half of the samples are invalid.
+        ValueError or TypeError, and leaves the sampler as it was, for a wrong shape or type, a batch told or dropped
+        before or drawn by another sampler, and where more than half of the samples are invalid (of fewer than 64
+        samples: where so are more than half of all until then, too).
         """
         native = _native_batch(batch)
         array = np.asarray(radiance)

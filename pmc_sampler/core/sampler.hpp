@@ -79,7 +79,8 @@ public:
     }
 
     // Radiance of a batch, 3 + aovs floats a sample in the batch's order. Throws, leaving everything as it was, where the batch is
-    // not open here, the size is wrong, or more than half of the samples are not finite or negative.
+    // not open here, the size is wrong, or more than half of the samples are not finite or negative. Of a batch of a few samples,
+    // such as the rest of a budget, that may be chance: it is refused where so are more than half of all samples until then.
     void tell(const Batch& batch, std::span<const float> radiance) {
         const auto open = find_open(batch);
         const std::size_t channels = 3 + film_.aovs, expected = batch.size() * channels;
@@ -189,7 +190,9 @@ private:
             for (std::size_t i = first; i < last; ++i) bad += !film_.valid(radiance.data() + i * channels);
             invalid += bad;
         });
-        if (2 * invalid > batch.size())
+        constexpr std::size_t few = 64;
+        const std::uint64_t told = film_.samples + rejected_;
+        if (2 * invalid > batch.size() && (batch.size() >= few || 2 * (rejected_ + invalid) > told + batch.size()))
             throw std::invalid_argument("tell: " + std::to_string(invalid) + " of " + std::to_string(batch.size()) + " samples of batch " +
                                         std::to_string(batch.number) +
                                         (film_.is_signed ? " are NaN or infinite" : " are NaN, infinite or negative") + "; expected linear radiance: mend the renderer, or drop the batch");

@@ -147,6 +147,31 @@ def test_mostly_invalid_batches_are_refused(
     assert sampler.film.samples.sum() == sampler.samples
 
 
+def test_a_small_batch_may_be_invalid_by_chance(renderers: SimpleNamespace) -> None:
+    """The rest of a budget may be a single sample, and that one NaN: it is counted, as it would be in a larger batch,
+    and the render ends. Where most of all samples are invalid the smallest batch is refused, too, and the largest always.
+    """
+
+    def last_is_nan(batch: Batch) -> np.ndarray:
+        values = renderers.textured(batch)
+        if len(batch) < 64:
+            values[:] = np.nan
+        return values  # type: ignore[no-any-return]
+
+    for rest in (1, 63):
+        sampler = Sampler(64, 64, Budget(spp=3 + rest / 4096), seed=1)
+        sampler.run(last_is_nan)
+        assert (sampler.done, sampler.samples, sampler.rejected) == ("spp", 3 * 4096, rest)
+    for size, before in ((1, 0), (64, 100)):
+        sampler = Sampler(20, 15, Budget(spp=50), Config(batch=size), seed=1)
+        for _ in range(before):
+            batch = sampler.ask()
+            sampler.tell(batch, renderers.textured(batch))
+        batch = sampler.ask()
+        with pytest.raises(ValueError, match=f"{size} of {size} samples of batch {before} are NaN"):
+            sampler.tell(batch, np.full((size, 3), np.nan, np.float32))
+
+
 def test_a_refused_answer_in_run_loses_nothing(renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
     sampler = Sampler(20, 15, Budget(spp=4), seed=1)
     with pytest.raises(ValueError, match="NaN"):
