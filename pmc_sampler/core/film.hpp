@@ -307,7 +307,8 @@ private:
                     const double weight = reciprocal(n_pool + 1);
                     if (unbiased_) {
                         const double d = luminance(v[0] - pool[0], v[1] - pool[1], v[2] - pool[2]);
-                        pool_m2[slot] += static_cast<float>(d * d * n_pool * weight);
+                        // Never infinite: what it is multiplied by may be 0.
+                        pool_m2[slot] = std::min(pool_m2[slot] + static_cast<float>(d * d * n_pool * weight), std::numeric_limits<float>::max());
                     }
                     for (int c = 0; c < 3; ++c) pool[c] += (v[c] - pool[c]) * weight;
                 }

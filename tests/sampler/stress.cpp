@@ -1,5 +1,6 @@
-// Random samplers driven at random, to be run under sanitizers: batches open, told out of order, dropped, put back and partly
-// invalid; saved and restored on the way; every picture read.  stress SEED SAMPLERS THREADS
+// Random samplers of either estimator driven at random, to be run under sanitizers: batches open, told out of order, dropped, put
+// back and partly invalid, radiance of any size and sign; saved and restored on the way; every picture read.  stress SEED SAMPLERS THREADS
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
@@ -47,27 +48,39 @@ pmc::Config random_config(std::uint32_t width, std::uint32_t height) {
     c.filter = static_cast<pmc::Filter>(below(4));
     c.filter_radius = below(2) ? 0.5 : 2.0;
     c.correction_sigma = 0.5 + 30.0 * share();
+    if (below(4) == 0) {
+        c.estimator = pmc::Estimator::unbiased;
+        c.initial_spp = pmc::Config::automatic;
+    }
     return c;
 }
 
-std::vector<float> radiance_of(const pmc::Batch& batch, std::uint32_t aovs, bool faults) {
+struct Image {
+    std::uint32_t aovs;
+    float scale;  // powers of two
+    bool is_signed, faults;
+};
+
+std::vector<float> radiance_of(const pmc::Batch& batch, const Image& image, bool faults) {
+    const std::uint32_t aovs = image.aovs;
     const std::size_t channels = 3 + aovs;
     std::vector<float> values(batch.size() * channels);
     for (std::size_t i = 0; i < batch.size(); ++i) {
         const float u = pmc::sobol_pair(batch.scramble[i], batch.index[i], 1).x, lit = batch.pixel[i] % 3 ? 1.0f : 0.0f;
-        for (std::size_t c = 0; c < channels; ++c) values[i * channels + c] = lit * (u < 0.02f ? 1e4f : 0.1f + u);
-        if (faults && u > 0.9f) values[i * channels] = u > 0.95f ? std::numeric_limits<float>::quiet_NaN() : -1.0f;
+        const float value = lit * image.scale * (u < 0.02f ? 1e4f : 0.1f + u);
+        for (std::size_t c = 0; c < channels; ++c) values[i * channels + c] = image.is_signed && u > 0.5f ? -value : value;
+        if (faults && u > 0.9f) values[i * channels] = u > 0.95f ? std::numeric_limits<float>::quiet_NaN() : -std::numeric_limits<float>::infinity();
     }
     return values;
 }
 
 // Through memory and into another sampler, which goes on in its place.
-std::unique_ptr<pmc::Sampler> restored(pmc::Sampler& sampler, std::uint32_t aovs, unsigned threads) {
+std::unique_ptr<pmc::Sampler> restored(pmc::Sampler& sampler, const Image& like, unsigned threads) {
     std::map<std::string, std::vector<std::byte>> blocks;
     pmc::Writer writer([&](const std::string& name, std::span<const std::byte> bytes) { blocks[name].assign(bytes.begin(), bytes.end()); });
     sampler.archive(writer);
     const pmc::Tiling& t = sampler.film().tiling;
-    auto again = std::make_unique<pmc::Sampler>(t.width, t.height, sampler.budget, sampler.config, sampler.seed, aovs, threads);
+    auto again = std::make_unique<pmc::Sampler>(t.width, t.height, sampler.budget, sampler.config, sampler.seed, like.aovs, threads, like.is_signed);
     pmc::Reader reader([&](const std::string& name) -> std::span<const std::byte> { return blocks.at(name); });
     again->archive(reader);
     return again;
@@ -76,25 +89,34 @@ std::unique_ptr<pmc::Sampler> restored(pmc::Sampler& sampler, std::uint32_t aovs
 void read_pictures(pmc::Sampler& sampler) {
     const pmc::Film& film = sampler.film();
     std::vector<float> image(3 * film.tiling.pixels()), other(image.size());
-    const auto finite = [](const std::vector<float>& values) {
-        for (float v : values) require(v >= 0.0f && v <= std::numeric_limits<float>::max(), "a picture is finite and not negative");
+    const auto finite = [&](const std::vector<float>& values) {
+        const float highest = std::numeric_limits<float>::max(), lowest = film.is_signed ? -highest : 0.0f;
+        for (float v : values) require(v >= lowest && v <= highest, "a picture is finite, and not negative where radiance is not");
     };
+    pmc::plain_mean(film, image.data(), sampler.threads()), finite(image);
     pmc::corrected_mean(film, sampler.config, image.data(), sampler.threads()), finite(image);
     pmc::pool_mean(film, sampler.config, image.data(), sampler.threads()), finite(image);
     pmc::strategy(film, image.data(), sampler.threads()), finite(image);
     pmc::halves(film, image.data(), other.data(), sampler.threads()), finite(image), finite(other);
     pmc::standard_error(film, image.data(), sampler.threads());
+    for (std::size_t slot = 0; slot < film.sums.size(); ++slot) require(film.beta(slot) >= 0.0f && std::isfinite(film.beta(slot)), "beta is finite");
+    const double noise = film.visible_noise(sampler.threads());
+    require(noise >= 0.0 && noise <= 1.0, "the visible noise is a share");
     std::uint64_t samples = 0;
     for (std::size_t slot = 0; slot < film.sums.size(); ++slot) samples += film.sums[slot].n;
     require(samples == sampler.samples(), "the samples of all pixels are those told");
 }
 
 void drive(unsigned threads) {
-    const std::uint32_t width = 1 + below(150), height = 1 + below(120), aovs = below(3);
+    const std::uint32_t width = 1 + below(150), height = 1 + below(120);
     pmc::Budget budget;
     budget.spp = 0.5 + below(100) / 10.0;
-    const bool faults = below(3) == 0;
-    auto sampler = std::make_unique<pmc::Sampler>(width, height, budget, random_config(width, height), generator(), aovs, threads);
+    const float scales[] = {1.0f, 1.0f, 0x1p-149f, 0x1p-100f, 0x1p110f};
+    const Image image{below(3), scales[below(5)], below(4) == 0, below(3) == 0};
+    const bool faults = image.faults;
+    const pmc::Config config = random_config(width, height);
+    if (below(4) == 0 && !config.is_unbiased()) budget.visible_noise = 0.01 + 0.98 * share();
+    auto sampler = std::make_unique<pmc::Sampler>(width, height, budget, config, generator(), image.aovs, threads, image.is_signed);
     std::vector<std::shared_ptr<const pmc::Batch>> open;
     while (sampler->done() == pmc::Done::no) {
         if (open.empty() || below(3)) {
@@ -114,9 +136,9 @@ void drive(unsigned threads) {
         } else if (action == 1) {
             sampler->put_back(*batch);
         } else {
-            const auto valid = radiance_of(*batch, aovs, false);
+            const auto valid = radiance_of(*batch, image, false);
             try {
-                sampler->tell(*batch, faults ? radiance_of(*batch, aovs, true) : valid);
+                sampler->tell(*batch, faults ? radiance_of(*batch, image, true) : valid);
             } catch (const std::invalid_argument&) {  // of a tiny batch, more than half may be faulty
                 require(faults, "what is valid is taken");
                 sampler->tell(*batch, valid);
@@ -127,11 +149,12 @@ void drive(unsigned threads) {
             } catch (const std::invalid_argument&) {
             }
         }
-        if (below(30) == 0) sampler = restored(*sampler, aovs, threads), open.clear();
+        if (below(30) == 0) sampler = restored(*sampler, image, threads), open.clear();
         if (below(30) == 0) read_pictures(*sampler);
     }
     const double pixels = double(width) * height;
-    require(sampler->samples() + sampler->rejected() == static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels))), "the budget is met");
+    const std::uint64_t used = sampler->samples() + sampler->rejected(), total = static_cast<std::uint64_t>(std::max(1.0, std::round(budget.spp * pixels)));
+    require(sampler->done() == pmc::Done::spp ? used == total : used <= total && budget.visible_noise >= 0.0, "the budget is met");
     require(faults || sampler->rejected() == 0, "what is valid is taken");
     read_pictures(*sampler);
 }

@@ -163,6 +163,21 @@ def test_a_speck_leaves_the_rest_alone(index: int, place: str, renderers: Simple
     np.testing.assert_allclose(film.mean.sum((0, 1), np.float64), film.pool_mean.sum((0, 1), np.float64), rtol=1e-5)
 
 
+@pytest.mark.parametrize("value", [1e18, 1e20, 1e30, 3e38])
+def test_a_speck_draws_no_more_than_noise_where_the_image_is_unbiased(value: float, renderers: SimpleNamespace) -> None:
+    """A sample of the pool whose square no float can hold. It raises its neighbours' share, as one of 1e12 does; an
+    earlier sum became infinite, beta NaN, and one pixel took a third of all samples.
+    """
+
+    def speck(batch: Batch, radiance: np.ndarray) -> None:
+        radiance[(batch.pixel == PLACES["middle"]) & (batch.index == 1)] = value
+
+    film = rendered(speck, renderers, estimator="unbiased").film
+    assert np.isfinite(film.beta).all()
+    assert film.samples.max() < 100
+    assert film.samples.min() >= 12
+
+
 @pytest.mark.parametrize("place", PLACES)
 @pytest.mark.parametrize("times", [1e2, 1e3, 1e5, 1e10, 1e20, 1e35])
 def test_one_pixel_outshines_all_others(times: float, place: str, renderers: SimpleNamespace) -> None:
