@@ -149,7 +149,7 @@ def test_mostly_invalid_batches_are_refused(
 
 def test_a_small_batch_may_be_invalid_by_chance(renderers: SimpleNamespace) -> None:
     """The rest of a budget may be a single sample, and that one NaN: it is counted, as it would be in a larger batch,
-    and the render ends. Where most of all samples are invalid the smallest batch is refused, too, and the largest always.
+    and the render ends. Where most of all samples are invalid the smallest batch is refused, too; a large one always.
     """
 
     def last_is_nan(batch: Batch) -> np.ndarray:
