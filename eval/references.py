@@ -10,7 +10,6 @@ import hashlib
 import json
 import math
 import os
-import re
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
@@ -89,16 +88,9 @@ def identify(scene: str, renderer: str, version: str) -> dict[str, str]:
     ``renderer`` is a renderer's name; ``version`` what else its images depend on, as
     :func:`pmc_sampler.adapters.version` has it.
     """
-    file = scenes.path(scene) if scene in scenes.names() else Path(scene)
-    contents = file.read_bytes()
-    parts = hashlib.sha256(contents)
-    for name in re.findall(rb'name="filename"\s+value="([^"]+)"', contents):
-        part = file.parent / os.fsdecode(name)
-        if part.is_file():
-            parts.update(part.read_bytes())
     return {
         "scene": scene,
-        "contents": parts.hexdigest()[:16],
+        "contents": scenes.digest(scenes.path(scene) if scene in scenes.names() else scene),
         "renderer": renderer,
         "renderer_version": version,
     }

@@ -16,7 +16,9 @@ import difflib
 import re
 from pathlib import Path
 
-__all__ = ["describe", "names", "path"]
+from .contents import digest
+
+__all__ = ["describe", "digest", "names", "path"]
 
 _FOLDER = Path(__file__).resolve().parent
 _COMMENT = re.compile(r"<!--(.*?)-->", re.DOTALL)

@@ -578,14 +578,16 @@ def test_a_checkpoint_of_another_render_is_refused(
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
+@pytest.mark.parametrize("changed", ["a.xml", "mesh.ply"])
 def test_a_checkpoint_of_a_changed_scene_file_is_refused(
-    lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    changed: str, lamp: Callable[..., Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "a.xml").write_text("one")
+    (tmp_path / "a.xml").write_text('<string name="filename" value="mesh.ply"/>')
+    (tmp_path / "mesh.ply").write_text("one")
     lamp(before=interrupt_at(1))
     words = ["render", "a.xml", "--spp", "12", "--checkpoint", "state"]
     assert main(words) == 130
-    (tmp_path / "a.xml").write_text("two")
+    (tmp_path / changed).write_text("two")
     lamp()
     assert main(words) == 2
     assert "contents of the scene was" in capsys.readouterr().err

@@ -1,7 +1,7 @@
 """``pmc-sampler render``: what can be refused is refused before the first sample."""
 
 import argparse
-import hashlib
+import importlib
 import signal
 import sys
 import time
@@ -125,6 +125,7 @@ def _job(options: argparse.Namespace, output: Output, resources: ExitStack) -> J
     identity = {
         **{name: getattr(options, name) for name in ("scene", "renderer", "sampler", "seed")},
         "contents of the scene": _contents(options.scene),
+        "version of the renderer": importlib.import_module("pmc_sampler.adapters").version(options.renderer),
         "settings of the renderer": [options.device, options.settings, options.own_options],
         "size": [radiance.width, radiance.height],
         "budget": vars(budget),
@@ -145,8 +146,7 @@ def _job(options: argparse.Namespace, output: Output, resources: ExitStack) -> J
 
 
 def _contents(scene: str) -> str:
-    file = Path(scene)
-    return hashlib.sha256(file.read_bytes()).hexdigest()[:16] if file.is_file() else ""
+    return str(importlib.import_module("pmc_sampler.scenes").digest(scene)) if Path(scene).is_file() else ""
 
 
 def _run(job: Job, shown: Report) -> bool:
