@@ -117,6 +117,9 @@ def test_it_ends_with_us(running: Callable[[], list[str]], clean: None, ending: 
     )
     assert ours.stdout is not None
     assert ours.stdout.readline() == b"started\n"
+    until = time.perf_counter() + 5
+    while not running() and time.perf_counter() < until:  # while it becomes another program it has no command line
+        time.sleep(0.01)
     assert len(running()) >= 1
     ours.send_signal(ending)
     ours.wait(60)
