@@ -26,6 +26,7 @@ from pmc_sampler.sampler import config_for
 
 from . import baselines, measures, metrics, references, results
 from .executors import Executor, in_process
+from .metrics.encoded import SSIM_WINDOW
 from .recorded import Recording, record
 from .references import Reference, key
 from .suite import BadSuiteError, Run, Scene, Suite
@@ -144,11 +145,17 @@ def run(
 
 
 def check(suite: Suite) -> None:
-    """Raise :class:`BadSuiteError` for a file that is missing and for settings that no sampler takes."""
+    """Raise :class:`BadSuiteError` for a missing file, a size a metric cannot take, settings that no sampler takes."""
     for scene in suite.scenes:
         if scene.source != scene.name and not Path(scene.source).is_file():
             raise BadSuiteError(f"scene {scene.name!r}: there is no file {scene.source!r}.")
         width, height = scene.size or (64, 64)
+        of_windows = [name for name in suite.metrics if name in ("ssim", "pu21_ssim")]
+        if of_windows and min(width, height) < SSIM_WINDOW:
+            raise BadSuiteError(
+                f"scene {scene.name!r} is {width}x{height} pixels, and {of_windows[0]} needs {SSIM_WINDOW}x"
+                f"{SSIM_WINDOW}: give a larger size, or `metrics` without it."
+            )
         known = scene.renderer is None or scene.recorded_spp is not None
         ones = np.ones((height, width))
         knowledge = {

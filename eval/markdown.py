@@ -76,7 +76,7 @@ def _table(found: Results, scene: str, budget: str) -> str:
         for name in errors:
             cells += [f"{_median(own, name):.3g}", _factor(found, scene, budget, method.name, name)]
         for name in limits:
-            cells.append(f"{statistics.median_interval([row[f'limit.{name}'] / row[name] for row in own]).median:.0%}")
+            cells.append(_reached(own, name))
         cells += [_bias([row["bias"] for row in own]), _bias([row["plain_bias"] for row in own])]
         cells += [f"{_median(own, 'spp'):.4g}", f"{_median(own, 'seconds.total'):.2f}"]
         cells += [_share(own, "renderer"), _share(own, "sampler")]
@@ -104,12 +104,12 @@ def _native_table(found: Results, scene: str) -> str:
         for other in others:
             for name in errors:
                 rows = found.within(scene, other, seconds, name)
-                cells.append(
-                    f"{_median(own, name) / _median(rows, name):.2f} at {rows[0]['budget']}, "
-                    f"{_median(rows, 'seconds.total'):.2f} s"
-                    if rows
-                    else "none is as fast"
-                )
+                if not rows:
+                    cells.append("none is as fast")
+                    continue
+                error = _median(rows, name)
+                factor = f"{_median(own, name) / error:.2f}" if error else "–"
+                cells.append(f"{factor} at {rows[0]['budget']}, {_median(rows, 'seconds.total'):.2f} s")
         lines.append("| " + " | ".join(cells) + " |")
     title = "### The renderer's own"
     if not lines:
@@ -144,7 +144,16 @@ def _factor(found: Results, scene: str, budget: str, method: str, name: str) -> 
     if method == found.suite.baseline:
         return "1"
     base, own = found.pairs(scene, budget, found.suite.baseline, method, name)
-    return _interval(statistics.ratio_interval(base, own)) if own else ""
+    if not own:
+        return ""
+    return _interval(statistics.ratio_interval(base, own)) if all(own) else "–"
+
+
+def _reached(rows: Sequence[Row], name: str) -> str:
+    """The least error over the rows', in per cent; a dash where one of them has no error at all."""
+    if not all(row[name] for row in rows):
+        return "–"
+    return f"{statistics.median_interval([row[f'limit.{name}'] / row[name] for row in rows]).median:.0%}"
 
 
 def _share(rows: Sequence[Row], part: str) -> str:

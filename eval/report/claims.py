@@ -115,11 +115,18 @@ def ratio_within(base: _Map, own: _Map, mask: _Mask) -> Interval:
 
 
 def order(gains: list[tuple[float, Interval, str]], name: str) -> Claim:
-    """Whether the gain falls from scene to scene with the share of the pixels that carries half of the noise."""
+    """Whether the gain falls from scene to scene with the share of the pixels that carries half of the noise.
+
+    It holds where no two intervals overlap, and does not where a harder scene's lies above that of the one before.
+    """
     ranked = sorted(gains, key=lambda one: one[0])
-    medians = [gain.median for _, gain, _ in ranked]
-    figures = ", ".join(f"{scene}: {100 * share:.0f} % and {rounded(gain.median)}x" for share, gain, scene in ranked)
-    held = all(a > b for a, b in itertools.pairwise(medians))
+    figures = ", ".join(f"{scene}: {100 * share:.0f} % and {_spelt(gain)}" for share, gain, scene in ranked)
+    steps = list(itertools.pairwise(gain for _, gain, _ in ranked))
+    held = None
+    if all(easier.low > harder.high for easier, harder in steps):
+        held = True
+    elif any(easier.high < harder.low for easier, harder in steps):
+        held = False
     return Claim(
         "Less gain where much of the image is hard",
         name,

@@ -45,7 +45,8 @@ class Plot:
 def error_plot(found: Results, scene: Scene, metric: str) -> Plot | None:
     """A metric against samples per pixel, and against seconds below: medians with bands over seeds.
 
-    None where no run is done. Values that have no logarithm are left out, and the caption says how many.
+    Against seconds alone where every budget is one of time. None where no run is done. Values that have no logarithm
+    are left out, and the caption says how many.
     """
     left_out = 0
     log = metric not in HIGHER_IS_BETTER
@@ -68,11 +69,14 @@ def error_plot(found: Results, scene: Scene, metric: str) -> Plot | None:
         return None
     rows_of_legend = -(-len(series) // 2)
     samples = sorted(budget.value for budget in scene.budgets if budget.kind == "spp")
+    axes_shown = [("spp", "samples per pixel"), ("seconds", "seconds")]
+    if all(point.of_time for _, _, points in series for point in points):
+        del axes_shown[0]
 
     def draw(figure: Any) -> None:
         handles = {}
-        for place, (x, title) in enumerate((("spp", "samples per pixel"), ("seconds", "seconds"))):
-            axes = _panel(figure, place, 2, rows_of_legend)
+        for place, (x, title) in enumerate(axes_shown):
+            axes = _panel(figure, place, len(axes_shown), rows_of_legend)
             every: list[float] = []
             for number, name, of_method in series:
                 points = sorted((p for p in of_method if x == "seconds" or not p.of_time), key=lambda p: getattr(p, x))
@@ -96,8 +100,9 @@ def error_plot(found: Results, scene: Scene, metric: str) -> Plot | None:
         f"{name} {points[-1].interval.median:.3g} at {points[-1].spp:.3g} samples per pixel, {points[-1].seconds:.3g} s"
         for _, name, points in series
     )
-    caption = f"{label(metric)} against samples per pixel and against seconds; {best} is better.{missing}"
-    return Plot(_svg(draw, _panel_size(2, rows_of_legend)), alt, caption)
+    against = " and ".join(f"against {title}" for _, title in axes_shown)
+    caption = f"{label(metric)} {against}; {best} is better.{missing}"
+    return Plot(_svg(draw, _panel_size(len(axes_shown), rows_of_legend)), alt, caption)
 
 
 def sweep_plot(found: Results, scene: Scene, metric: str, parameter: str, methods: Mapping[float, str]) -> Plot | None:

@@ -96,7 +96,10 @@ def table(found: Results, scene: Scene, budget: Budget, metrics: Sequence[str], 
             columns.append(_column(f"{label(metric)} factor", ratios, higher=True))
         limit = f"limit.{metric}"
         if metric in ERRORS and all(row[limit] is not None for rows in of_methods.values() for row in rows):
-            reached = [median_interval([100 * r[limit] / r[metric] for r in rows]) for rows in of_methods.values()]
+            reached = [
+                median_interval([100 * r[limit] / r[metric] for r in rows]) if all(r[metric] for r in rows) else None
+                for rows in of_methods.values()
+            ]
             columns.append(_column(f"{label(metric)}, limit reached, %", reached, higher=True))
     biases = [mean_error([row["bias"] for row in rows]) for rows in of_methods.values()]
     least = min(abs(mean) for mean, _ in biases)

@@ -347,6 +347,15 @@ def test_the_page_has_factors_intervals_biases_and_slopes(tmp_path: Path) -> Non
     assert "12 samples were rejected" in text
 
 
+def test_no_error_at_all_is_a_dash(tmp_path: Path) -> None:
+    """As of a recording whose every sample was drawn: there is nothing to divide by."""
+    rows = [made(*of, 1.0 if of[0] == "PT" else 0.0, 0.0) for of in (("PT", 1, "4spp"), ("PMC", 1, "4spp"))]
+    one_scene = dataclasses.replace(SUITE, scenes=SUITE.scenes[:1], seeds=1)
+    text = markdown.page(results.Results(tmp_path / "out", one_scene, rows, 0))
+    (line,) = (line for line in text.splitlines() if line.startswith("| PMC"))
+    assert line.startswith("| PMC | 0 | – | 0 | – | – | – |")
+
+
 def test_the_page_of_real_rows(rows: list[dict[str, Any]], finished: Path) -> None:
     text = markdown.page(results.load(finished / "out"))
     assert text.count("\n## ") == 2
@@ -405,6 +414,15 @@ def test_a_recording_is_made_once_and_is_its_own_reference(noisy: type, tmp_path
     assert len(loader.renderers) == 1
     again = results.load(tmp_path / "again").done
     assert [row["mse"] for row in again] == [row["mse"] for row in found.done]
+
+
+def test_images_too_small_for_a_metric_are_refused() -> None:
+    given = SUITE.to_dict()
+    given["scene"][0]["size"] = [24, 10]
+    with pytest.raises(suite.BadSuiteError, match="scene 'cornell-box' is 24x10 pixels, and ssim needs 11x11"):
+        benchmark.check(suite.parse(given))
+    given["metrics"] = ["mse"]
+    benchmark.check(suite.parse(given))
 
 
 def test_an_oracle_without_known_variances_is_refused() -> None:

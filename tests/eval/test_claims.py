@@ -52,8 +52,10 @@ def test_the_order_of_gains() -> None:
     gains = [(0.3, Interval(1.1, 1.0, 1.2), "room"), (0.02, Interval(4.0, 3.0, 5.0), "box")]
     claim = order(gains, "paper")
     assert (claim.held, claim.verdict) == (True, "held")
-    assert "box: 2 % and 4x, room: 30 % and 1.1x" in claim.figures.replace("4.00x", "4x").replace("1.10x", "1.1x")
+    assert "box: 2 % and 4.00 (3.00 to 5.00), room: 30 % and 1.10 (1.00 to 1.20)" in claim.figures
     assert order([(0.01, *gains[0][1:]), gains[1]], "paper").verdict == "did not hold"
+    unsure = (0.3, Interval(3.5, 2.5, 4.5), "room")
+    assert order([unsure, gains[1]], "paper").verdict == "not shown"
 
 
 def test_a_report_has_the_verdicts(tmp_path: Path, noisy: type) -> None:

@@ -324,6 +324,22 @@ def test_gains_stand_beside_their_bias(tmp_path: Path) -> None:
     assert [cell.text for cell in pmc[:4]] == ["0.125", "8.00", "10.0", "+0.200"]
     assert [cell.best for cell in pmc[:2]] == [True, True]
     assert (pmc[0].interval, pt[3].best) == ("0.0125 to 1.25", True)
+    # Where there is no error at all there is nothing to divide by.
+    rows[-1] |= {"mse": 0.0}
+    table = words.table(found, one.scenes[0], one.scenes[0].budgets[0], ["mse"], "a title")
+    assert table is not None
+    assert [cell.text for cell in table.rows[1][1][1:3]] == ["–", "–"]
+
+
+def test_budgets_in_seconds_alone_have_no_empty_axes(tmp_path: Path) -> None:
+    budget = suite.Budget("seconds", 2.0)
+    for budgets, said in (((budget,), "MSE against seconds;"), ((suite.Budget("spp", 4.0),), "MSE against samples")):
+        scene = dataclasses.replace(SUITE.scenes[0], budgets=budgets)
+        one = dataclasses.replace(SUITE, scenes=(scene,), methods=SUITE.methods[:1], seeds=1)
+        row = {**made("PT", 1, 0.1, 0.0), "budget": str(budgets[0])}
+        plot = plots.error_plot(results.Results(tmp_path, one, [row], 0), scene, "mse")
+        assert plot is not None
+        assert plot.caption.startswith(said)
 
 
 @pytest.mark.parametrize(
