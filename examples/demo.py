@@ -73,6 +73,7 @@ def files() -> dict[str, str]:
     return {
         "demo.png": "everything in one picture",
         "pt.exr, pmc.exr": "images with layers: samples, standard error, strategy",
+        "reference.exr": "the reference, with its variance; for `pmc-sampler compare`",
         "pt.png, pmc.png, reference.png": "the same, tone-mapped",
         "caustic-{pt,pmc,reference}.png": "the caustic, enlarged four times",
         "strategy.png": f"the radius that proposed ({radii()}); its brightness is the sample density",
@@ -85,6 +86,8 @@ def write_images(folder: Path, results: dict[str, Result], reference: references
         film = result.film
         layers = {"samples": film.samples, "error": film.standard_error, "strategy": film.strategy}
         images.write_exr(folder / f"{name}.exr", film.mean, layers, {"pmc:method": METHODS[name][0]})
+    variance = {"variance": reference.variance, "luminance_variance": reference.luminance_variance}
+    images.write_exr(folder / "reference.exr", reference.mean, variance, {"pmc:spp": reference.spp})
     for name, image in pictures(results, reference).items():
         images.write_png(folder / f"{name}.png", image)
         images.write_png(folder / f"caustic-{name}.png", enlarged(crop(image)))

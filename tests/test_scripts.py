@@ -43,7 +43,7 @@ def test_the_demo(script: Callable[[str], ModuleType], tmp_path: Path, capsys: p
     out = capsys.readouterr().out
     written = set(os.listdir(tmp_path / "out"))
     pictures = {f"{prefix}{name}.png" for prefix in ("", "caustic-") for name in ("pt", "pmc", "reference")}
-    assert written == pictures | {"demo.png", "strategy.png", "pt.exr", "pmc.exr", "reference"}
+    assert written == pictures | {"demo.png", "strategy.png", "pt.exr", "pmc.exr", "reference.exr", "reference"}
     assert str(tmp_path / "out") in out
     lines = [line.split() for line in out.splitlines()]
     rows = {cells[0]: cells for cells in lines if cells[:1] in (["PT"], ["PMC"])}
