@@ -14,7 +14,7 @@ class Greedy:
 
     Where many samples are drawn at once, the batch is filled as the greedy choice would, one by one, from the
     estimates at its beginning. ``var`` is the variance of the pixel's own samples. ``batch``: samples in a batch; None:
-    half a sample a pixel, 4096 at least.
+    a quarter of a sample a pixel, 4096 at least.
     """
 
     name = "greedy"
