@@ -6,7 +6,9 @@ where much of the image is hard.
 """
 
 import itertools
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -93,25 +95,37 @@ def ratio_within(base: _Map, own: _Map, mask: _Mask) -> Interval:
 
     With its 95 % percentile bootstrap interval over tiles of 16x16 pixels (Efron 1979, doi:10.1214/aos/1176344552).
     """
+    return _over_tiles(lambda a, b: a / b, [np.where(mask, base, 0.0), np.where(mask, own, 0.0)], mask)
+
+
+def share_within(part: _Map, whole: _Map, mask: _Mask) -> Interval:
+    """The share of ``part`` in ``whole`` within a mask over that outside of it; interval as of :func:`ratio_within`."""
+    maps = [np.where(place, values, 0.0) for place in (mask, ~mask) for values in (part, whole)]
+    return _over_tiles(lambda a, b, c, d: (a / b) / (c / d), maps, np.ones_like(mask))
+
+
+def _over_tiles(of_sums: Callable[..., Any], maps: list[_Map], mask: _Mask) -> Interval:
+    """A function of the maps' sums, with its interval over the tiles that the mask has a part in."""
     from scipy.stats import bootstrap
 
     rows, columns = np.nonzero(mask)
     tile = rows // TILE * mask.shape[1] + columns // TILE
     _, tile = np.unique(tile, return_inverse=True)
-    sums = [np.bincount(tile, values[mask]) for values in (base, own)]
-    ratio = float(sums[0].sum() / sums[1].sum())
-    if len(sums[0]) < 2:
-        return Interval(ratio, float("-inf"), float("inf"))
-    found = bootstrap(
-        sums,
-        lambda a, b, axis: a.sum(axis=axis) / b.sum(axis=axis),
-        paired=True,
-        vectorized=True,
-        n_resamples=2000,
-        method="percentile",
-        rng=np.random.default_rng(0),
-    ).confidence_interval
-    return Interval(ratio, float(found.low), float(found.high))
+    sums = [np.bincount(tile, values[mask]) for values in maps]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        found = float(of_sums(*(one.sum() for one in sums)))
+        if len(sums[0]) < 2:
+            return Interval(found, float("-inf"), float("inf"))
+        interval = bootstrap(
+            sums,
+            lambda *drawn, axis: of_sums(*(one.sum(axis=axis) for one in drawn)),
+            paired=True,
+            vectorized=True,
+            n_resamples=2000,
+            method="percentile",
+            rng=np.random.default_rng(0),
+        ).confidence_interval
+    return Interval(found, float(interval.low), float(interval.high))
 
 
 def order(gains: list[tuple[float, Interval, str]], name: str) -> Claim:
@@ -175,7 +189,7 @@ def _by_place(
         Claim(
             "Slightly more error elsewhere",
             where,
-            None if (more := _above(elsewhere, 1.0)) is None else not more,
+            None if (less := _above(elsewhere, 1.0)) is None else not less,
             f"tvi error of {base.name} over it: {_spelt(elsewhere)}",
         ),
     ]
@@ -183,12 +197,14 @@ def _by_place(
     if radii is not None and radii.sum() > 0.0:
         special = hard | edges(reference.rgb)
         small, rest = (float(radii[mask][:, 0].sum() / max(radii[mask].sum(), 1e-12)) for mask in (special, ~special))
+        more = share_within(radii[..., 0].astype(np.float64), radii.sum(axis=2, dtype=np.float64), special)
         said.append(
             Claim(
                 "Small radii at edges and in caustics",
                 where,
-                small > rest,
-                f"share of the smallest radius: {100 * small:.1f} % there, {100 * rest:.1f} % elsewhere",
+                _above(more, 1.0),
+                f"share of the smallest radius: {100 * small:.1f} % there, {100 * rest:.1f} % elsewhere, "
+                f"{_spelt(more)} times as much",
             )
         )
     return said

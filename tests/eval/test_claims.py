@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pmc_sampler.eval import benchmark, results, suite
 from pmc_sampler.eval.report import page
-from pmc_sampler.eval.report.claims import claims, edges, most, noise_map, order, ratio_within
+from pmc_sampler.eval.report.claims import claims, edges, most, noise_map, order, ratio_within, share_within
 from pmc_sampler.eval.statistics import Interval
 
 pytestmark = pytest.mark.needs("scipy", "skimage", "pyarrow", "tomli_w", "OpenImageIO", "jinja2", "matplotlib", "PIL")
@@ -46,6 +46,18 @@ def test_errors_within_a_mask() -> None:
     assert elsewhere.low < 1.0 < elsewhere.high
     one_tile = ratio_within(base, own, np.arange(96 * 128).reshape(96, 128) < 3)
     assert (one_tile.low, one_tile.high) == (float("-inf"), float("inf"))
+
+
+def test_shares_within_a_mask() -> None:
+    """The first part is half of the whole, and within the mask two thirds; without that nothing is shown."""
+    rng = np.random.default_rng(3)
+    first, second = rng.exponential(1.0, (2, 96, 128))
+    mask = np.arange(96 * 128).reshape(96, 128) % 7 == 0
+    same = share_within(first, first + second, mask)
+    assert same.low < 1.0 < same.high
+    first[mask] *= 2.0
+    more = share_within(first, first + second, mask)
+    assert 1.2 < more.low < 4 / 3 < more.high < 1.45
 
 
 def test_the_order_of_gains() -> None:
