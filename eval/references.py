@@ -61,7 +61,12 @@ class Reference:
 
     @property
     def bias_error(self) -> float:
-        """Standard error of the mean luminance, relative to it: a measured bias is uncertain by as much."""
+        """Standard error of the mean luminance, relative to it: a measured bias is uncertain by as much.
+
+        Raises ValueError where that is 0.
+        """
+        if self.mean_luminance == 0.0:
+            raise ValueError("the reference is black, so no bias relative to its mean luminance exists.")
         n = self.luminance_variance.size
         return float(np.sqrt(self.luminance_variance.sum(dtype=np.float64))) / n / self.mean_luminance
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,6 +43,9 @@ def test_luminance_variance_counts_what_channels_share(noisy: type, tmp_path: Pa
     np.testing.assert_allclose(np.sqrt(reference.luminance_variance), deviation, rtol=1e-4, atol=1e-7)
     expected = math.sqrt(float(reference.luminance_variance.sum())) / 120 / reference.mean_luminance
     assert reference.bias_error == pytest.approx(expected, rel=1e-5)
+    black = replace(reference, mean=np.zeros_like(reference.mean))
+    with pytest.raises(ValueError, match="the reference is black, so no bias"):
+        _ = black.bias_error
 
 
 def test_a_cached_reference_is_not_rendered_again(noisy: type, tmp_path: Path) -> None:
