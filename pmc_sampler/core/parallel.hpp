@@ -15,7 +15,7 @@ namespace pmc {
 class ThreadPool {
 public:
     // threads counts the caller too; 0 means one for each processor.
-    explicit ThreadPool(unsigned threads = 0) : size_(threads ? threads : processors()), patience_(size_ <= processors() ? 4000 : 0) {}
+    explicit ThreadPool(unsigned threads = 0) : size_(threads ? threads : std::max(1u, std::thread::hardware_concurrency())) {}
     ~ThreadPool() {
         {
             std::lock_guard lock(mutex_);
@@ -49,7 +49,6 @@ public:
         }
         wake_.notify_all();
         drain(function, count);
-        wait_for([this] { return busy_ == 0; });
         std::unique_lock lock(mutex_);
         idle_.wait(lock, [this] { return busy_ == 0; });
         task_ = nullptr;
@@ -64,20 +63,6 @@ public:
     }
 
 private:
-    static unsigned processors() { return std::max(1u, std::thread::hardware_concurrency()); }
-
-    // Looks for what is to come before a thread sleeps: a batch is a dozen tasks, one right after the other and some of them shorter
-    // than it takes to be woken (50 us).
-    template <class Condition>
-    void wait_for(Condition&& met) const {
-        for (unsigned i = 0; i < patience_ && !met(); ++i) {
-#if defined(__x86_64__) || defined(__i386__)
-            __builtin_ia32_pause();
-#elif defined(__aarch64__)
-            asm volatile("yield");
-#endif
-        }
-    }
     void drain(const std::function<void(std::size_t)>& task, std::size_t count) {
         for (std::size_t i; (i = next_.fetch_add(1)) < count;) {
             try {
@@ -93,7 +78,6 @@ private:
         for (;;) {
             const std::function<void(std::size_t)>* task;
             std::size_t count;
-            wait_for([&] { return stop_ || generation_ != seen; });
             {
                 std::unique_lock lock(mutex_);
                 wake_.wait(lock, [&] { return stop_ || (generation_ != seen && task_); });
@@ -108,16 +92,16 @@ private:
         }
     }
 
-    unsigned size_, patience_;
+    unsigned size_;
     std::vector<std::thread> workers_;
     std::mutex mutex_;
     std::condition_variable wake_, idle_;
     const std::function<void(std::size_t)>* task_ = nullptr;
     std::size_t count_ = 0;
     std::atomic<std::size_t> next_{0};
-    std::atomic<unsigned> busy_{0};
-    std::atomic<std::uint64_t> generation_{0};
-    std::atomic<bool> stop_{false};
+    unsigned busy_ = 0;
+    std::uint64_t generation_ = 0;
+    bool stop_ = false;
     std::exception_ptr error_;
 };
 
