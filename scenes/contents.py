@@ -20,24 +20,18 @@ def digest(file: str | os.PathLike[str]) -> str:
     that has them, so that libraries elsewhere do not count. Raises OSError where the scene cannot be read.
     """
     parts = hashlib.sha256()
-    seen: set[Path] = set()
-    todo = [Path(file)]
-    while todo:
-        path = todo.pop(0)
+    found = [Path(file)]
+    seen = {found[0].resolve()}
+    for path in found:  # which grows meanwhile
         status = path.stat()
         large = status.st_size > _LARGEST
         contents = f"{status.st_size} {status.st_mtime_ns}".encode() if large else path.read_bytes()
         parts.update(hashlib.sha256(contents).digest())
-        seen.add(path.resolve())
-        if path.suffix.lower() in _NAMES_OTHERS:
-            named = [path.parent / os.fsdecode(name) for name in _QUOTED.findall(contents) if b"\0" not in name]
-            todo += [other for other in dict.fromkeys(named) if _is_file(other) and other.resolve() not in seen]
-            seen.update(other.resolve() for other in todo)
+        if path.suffix.lower() not in _NAMES_OTHERS:
+            continue
+        for name in dict.fromkeys(_QUOTED.findall(contents)):
+            other = path.parent / os.fsdecode(name)
+            if os.path.isfile(other) and other.resolve() not in seen:  # of Path.is_file long names are an error
+                seen.add(other.resolve())
+                found.append(other)
     return parts.hexdigest()[:16]
-
-
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:  # what is no name: too long, say
-        return False

@@ -52,8 +52,8 @@ PMC_MULTIVERSION inline double crowding(const float* weights, const std::uint32_
 
 // Draws lie at the whole numbers from 0 on of `scale` times the running sum of weights, which goes down one column after the other
 // and is start[c], above -1, at the head of each. counts: how many lie within each pixel. No more than up_to[c] are made before
-// the end of a column; passed[c] were before its head, and are before its end when this returns.
-PMC_MULTIVERSION inline void count_draws(const float* weights, double scale, const double* start, const double* up_to, std::int32_t* passed, std::int32_t* counts) {
+// the end of a column; passed[c] were before its head.
+PMC_MULTIVERSION inline void count_draws(const float* weights, double scale, const double* start, const double* up_to, const std::int32_t* passed, std::int32_t* counts) {
     double at[Tiling::side];
     std::int32_t before[Tiling::side];
     for (std::uint32_t c = 0; c < Tiling::side; ++c) at[c] = start[c], before[c] = passed[c];
@@ -67,7 +67,6 @@ PMC_MULTIVERSION inline void count_draws(const float* weights, double scale, con
             before[c] = now;
         }
     }
-    for (std::uint32_t c = 0; c < Tiling::side; ++c) passed[c] = before[c];
 }
 
 }  // namespace pmc

@@ -314,15 +314,20 @@ def shuffled(sampler: Sampler, radiance: Radiance, rng: np.random.Generator, unt
     """Asks and tells at random, as many open and in any order as there may be; what is left open at the end."""
     open_: list[Batch] = []
     while not sampler.done and (until is None or sampler.samples < until):
-        if not open_ or rng.random() < 0.7:
-            try:
-                open_.append(sampler.ask())
-                continue
-            except RuntimeError:
-                assert open_, "nothing is open, and still ask refuses"
-        batch = open_.pop(rng.integers(len(open_)))
-        sampler.tell(batch, radiance(batch))
+        if (batch := asked_or_taken(sampler, open_, rng, 0.7)) is not None:
+            sampler.tell(batch, radiance(batch))
     return open_
+
+
+def asked_or_taken(sampler: Sampler, open_: list[Batch], rng: np.random.Generator, asks: float) -> Batch | None:
+    """One more batch among the open ones, at the odds `asks`; else, or where there is none to be had, one of them."""
+    if not open_ or rng.random() < asks:
+        try:
+            open_.append(sampler.ask())
+            return None
+        except RuntimeError:
+            assert open_, "nothing is open, and still ask refuses"
+    return open_.pop(rng.integers(len(open_)))
 
 
 def state(sampler: Sampler) -> dict[str, bytes]:
@@ -386,6 +391,7 @@ def oracle() -> type[Oracle]:
 def tools() -> SimpleNamespace:
     return SimpleNamespace(
         shuffled=shuffled,
+        asked_or_taken=asked_or_taken,
         state=state,
         pictures=pictures,
         from_pool=from_pool,

@@ -191,7 +191,15 @@ def radiances(draw: Any) -> Any:
     return radiance
 
 
-def told(sampler: Sampler, oracle: Any, radiance: Any, data: Any, path: Path, renderers: SimpleNamespace) -> Any:
+def told(
+    sampler: Sampler,
+    oracle: Any,
+    radiance: Any,
+    data: Any,
+    path: Path,
+    renderers: SimpleNamespace,
+    tools: SimpleNamespace,
+) -> Any:
     """All batches of a budget told, lost and put back in any order, with a checkpoint somewhere; the oracle of them."""
     rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
     truth, open_ = oracle(sampler), []
@@ -204,13 +212,8 @@ def told(sampler: Sampler, oracle: Any, radiance: Any, data: Any, path: Path, re
             truth.check(sampler.film)
             saved = None
             open_.clear()  # they are asked again
-        if not open_ or rng.random() < 0.6:
-            try:
-                open_.append(sampler.ask())
-                continue
-            except RuntimeError:
-                assert open_, "nothing is open, and still ask refuses"
-        batch = open_.pop(rng.integers(len(open_)))
+        if (batch := tools.asked_or_taken(sampler, open_, rng, 0.6)) is None:
+            continue
         action = rng.choice(["tell", "drop", "put_back"], p=[0.9, 0.05, 0.05])
         if action == "tell":
             values = radiance(batch, sampler, renderers)
@@ -224,9 +227,15 @@ def told(sampler: Sampler, oracle: Any, radiance: Any, data: Any, path: Path, re
 
 
 def against_the_oracle(
-    sampler: Sampler, radiance: Any, data: Any, oracle: Any, renderers: SimpleNamespace, folder: Path
+    sampler: Sampler,
+    radiance: Any,
+    data: Any,
+    oracle: Any,
+    renderers: SimpleNamespace,
+    tools: SimpleNamespace,
+    folder: Path,
 ) -> None:
-    truth = told(sampler, oracle, radiance, data, folder / "state", renderers)
+    truth = told(sampler, oracle, radiance, data, folder / "state", renderers, tools)
     assert truth.sampler.samples + truth.sampler.rejected == sampler._native.total
     truth.check(truth.sampler.film)
 
@@ -234,16 +243,28 @@ def against_the_oracle(
 @given(sampler=any_samplers(), radiance=radiances(), data=st.data())
 @settings(exactly, max_examples=250)
 def test_any_film(
-    sampler: Sampler, radiance: Any, data: Any, oracle: Any, renderers: SimpleNamespace, tmp_path_factory: Any
+    sampler: Sampler,
+    radiance: Any,
+    data: Any,
+    oracle: Any,
+    renderers: SimpleNamespace,
+    tools: SimpleNamespace,
+    tmp_path_factory: Any,
 ) -> None:
     """Counts exactly, all pictures within the tolerances of `Oracle.check`."""
-    against_the_oracle(sampler, radiance, data, oracle, renderers, tmp_path_factory.getbasetemp())
+    against_the_oracle(sampler, radiance, data, oracle, renderers, tools, tmp_path_factory.getbasetemp())
 
 
 @pytest.mark.long
 @given(sampler=any_samplers(), radiance=radiances(), data=st.data())
 @settings(exactly, max_examples=5000, derandomize=False)
 def test_any_film_at_length(
-    sampler: Sampler, radiance: Any, data: Any, oracle: Any, renderers: SimpleNamespace, tmp_path_factory: Any
+    sampler: Sampler,
+    radiance: Any,
+    data: Any,
+    oracle: Any,
+    renderers: SimpleNamespace,
+    tools: SimpleNamespace,
+    tmp_path_factory: Any,
 ) -> None:
-    against_the_oracle(sampler, radiance, data, oracle, renderers, tmp_path_factory.getbasetemp())
+    against_the_oracle(sampler, radiance, data, oracle, renderers, tools, tmp_path_factory.getbasetemp())
