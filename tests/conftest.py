@@ -21,6 +21,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
 
 # Names that are programs, not Python modules, with the package to install.
@@ -100,6 +101,24 @@ def build(
         return built[key]
 
     return compiled
+
+
+@pytest.fixture(scope="session")
+def p_value() -> Callable[..., float]:
+    """p_value(images, mean=1.0, tile=16): that images (seeds, height, width) of whole tiles have that mean everywhere.
+
+    By Student's t-test of the whole image and of each tile, with Sidak's correction for all of them.
+    """
+    from scipy import stats
+
+    def of(images: np.ndarray, mean: float = 1.0, tile: int = 16) -> float:
+        seeds, height, width = images.shape
+        tiles = images.reshape(seeds, height // tile, tile, width // tile, tile).mean(axis=(2, 4)).reshape(seeds, -1)
+        values = np.concatenate([images.mean(axis=(1, 2))[:, None], tiles], axis=1)
+        smallest = stats.ttest_1samp(values, mean, axis=0).pvalue.min()
+        return float(1 - (1 - smallest) ** values.shape[1])
+
+    return of
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -28,17 +28,9 @@ CONFIGS: dict[str, Config] = {
 }
 
 
-def p_value(images: np.ndarray) -> float:
-    """That the mean of images (seeds, height, width) is 1 everywhere, whole and in tiles: the family's p."""
-    tiles = images.reshape(len(images), 3, 16, 3, 16).mean(axis=(2, 4)).reshape(len(images), 9)
-    values = np.concatenate([images.mean(axis=(1, 2))[:, None], tiles], axis=1)
-    smallest = stats.ttest_1samp(values, 1.0, axis=0).pvalue.min()
-    return float(1 - (1 - smallest) ** values.shape[1])
-
-
 @pytest.mark.parametrize("tail", ["heavy", "light"])
 @pytest.mark.parametrize("name", CONFIGS)
-def test_unbiased_but_for_the_plain_mean(name: str, tail: str, renderers: SimpleNamespace) -> None:
+def test_unbiased_but_for_the_plain_mean(name: str, tail: str, renderers: SimpleNamespace, p_value: Any) -> None:
     """Paths 60 times as bright as the mean in one sample of 100, or three times in one of four; the mean is 1."""
     rare, bright = {"heavy": (0.01, 60.0), "light": (0.25, 3.0)}[tail]
     dim = (1 - rare * bright) / (1 - rare)
@@ -62,7 +54,7 @@ def test_unbiased_but_for_the_plain_mean(name: str, tail: str, renderers: Simple
 
 
 @pytest.mark.parametrize("spp", [4, 16, 64])
-def test_the_unbiased_estimator_at_every_count(spp: int, renderers: SimpleNamespace) -> None:
+def test_the_unbiased_estimator_at_every_count(spp: int, renderers: SimpleNamespace, p_value: Any) -> None:
     """On the left as above; on the right a third of the samples is three times as bright. The plain mean of the default
     estimator, from the same pool, is the negative control."""
     images: dict[str, list[np.ndarray]] = {"unbiased": [], "consistent": []}
@@ -132,7 +124,7 @@ def test_what_the_unbiased_estimator_needs() -> None:
         Config(estimator="exact")
 
 
-def test_halves_and_plain_mean_of_the_pool_are_unbiased(renderers: Any) -> None:
+def test_halves_and_plain_mean_of_the_pool_are_unbiased(renderers: Any, p_value: Any) -> None:
     """Uniform sampling is unbiased in every picture, and a 1 % loss of radiance would show (the negative control)."""
     first, plain = [], []
     for seed in range(SEEDS):
