@@ -45,7 +45,8 @@ class MitsubaRenderer:
     variant
         The Mitsuba variant to load the scene in, an unpolarised `llvm` or `cuda` one. By default the active
         one where that will do, else RGB on a CUDA device if there is one and on the CPU if not. A `mi.Scene`
-        brings its own.
+        brings its own. If you have activated another one yourself, each batch changes to this one and back, which
+        takes some 40 ms.
     size
         (width, height) of the film in pixels, in place of the scene's.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import importlib
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
@@ -87,18 +88,36 @@ def choose(variant: str | None) -> str:
     return check("cuda_ad_rgb" if _cuda() else "llvm_ad_rgb")
 
 
+@dataclass
+class _Ours:
+    """The variant that `active` left active, and how many of its blocks are entered."""
+
+    variant: str | None = None
+    inside: int = 0
+
+
+_ours = _Ours()
+
+
 @contextlib.contextmanager
 def active(variant: str) -> Iterator[None]:
-    """Makes `variant` the active one inside the block; it stays so where none was active before."""
+    """Makes `variant` the active one inside the block.
+
+    It stays so where none was active before, or one that stayed so from here: each change costs Mitsuba some 20 ms,
+    in which it loads its integrators in Python anew.
+    """
     before = mi.variant()
-    if before == variant:
-        yield
-        return
-    mi.set_variant(variant)
+    stays = before is None or (before == _ours.variant and not _ours.inside)
+    if before != variant:
+        mi.set_variant(variant)
+        if stays:
+            _ours.variant = variant
+    _ours.inside += 1
     try:
         yield
     finally:
-        if before is not None:
+        _ours.inside -= 1
+        if before != variant and not stays:
             mi.set_variant(before)
 
 

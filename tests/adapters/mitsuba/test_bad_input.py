@@ -141,6 +141,33 @@ def test_an_active_scalar_variant_is_no_obstacle(mi: Any) -> None:
     assert r.variant in ("llvm_ad_rgb", "cuda_ad_rgb")
 
 
+def test_the_variant_stays_where_no_user_chose_another(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """To change it for each batch costs tens of milliseconds."""
+    from pmc_sampler.adapters.mitsuba import variants
+
+    current, changes = [None], []
+
+    def change(name: str) -> None:
+        current[0] = name
+        changes.append(name)
+
+    monkeypatch.setattr(variants.mi, "variant", lambda: current[0])
+    monkeypatch.setattr(variants.mi, "set_variant", change)
+    monkeypatch.setattr(variants, "_ours", variants._Ours())
+    with variants.active("scalar_rgb"):  # a scene is read
+        pass
+    for _ in range(3):  # batches are rendered
+        with variants.active("llvm_ad_rgb"), variants.active("scalar_rgb"):
+            pass
+    assert changes == ["scalar_rgb", "llvm_ad_rgb"] + 3 * ["scalar_rgb", "llvm_ad_rgb"]
+    changes.clear()
+    current[0] = "llvm_ad_mono"  # the user's choice
+    for _ in range(2):
+        with variants.active("llvm_ad_rgb"):
+            assert current == ["llvm_ad_rgb"]
+    assert changes == 2 * ["llvm_ad_rgb", "llvm_ad_mono"]
+
+
 def test_no_cuda(mi: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from pmc_sampler.adapters.mitsuba import variants
 
