@@ -238,31 +238,28 @@ def figure(path: Path, rows: Sequence[study.Row], found: Mapping[str, Reference]
     import matplotlib.pyplot as plt
     from pmc_sampler.eval.display import display
 
-    drawing, axes = plt.subplot_mosaic(
-        [list(found), ["factors"] * len(found)],
-        figsize=(3.4 * len(found), 6.4),
-        height_ratios=[1, 1.3],
-        layout="constrained",
-    )
-    for name, reference in found.items():
-        axes[name].imshow(display(reference.mean))
-        axes[name].set_title(f"{TITLES[name]}, {reference.spp} spp", fontsize="small")
-        axes[name].set_axis_off()
+    drawing = plt.figure(figsize=(3.4 * len(found), 6.8), layout="constrained")
+    above, below = drawing.subfigures(2, 1, height_ratios=[1, 1.3])
+    for axis, (name, reference) in zip(above.subplots(1, len(found), squeeze=False)[0], found.items(), strict=True):
+        axis.imshow(display(reference.mean))
+        axis.set_title(f"{TITLES[name]}, {reference.spp} spp", fontsize="small")
+        axis.set_axis_off()
+    factors = below.subplots()
     labels = [(name, settings) for name in found for settings in ADAPTIVE[name]][::-1]
     for error, mark, shift in (("mse", "o", 0.12), ("tvi_error", "s", -0.12)):
         gains = [study.gains(_of(rows, name, settings), _of(rows, name, UNIFORM), error) for name, settings in labels]
         middle = np.array([gain.median for gain in gains])
         ends = np.array([[gain.median - gain.low, gain.high - gain.median] for gain in gains]).T
-        axes["factors"].errorbar(
+        factors.errorbar(
             middle, np.arange(len(labels)) + shift, xerr=ends, fmt=mark, capsize=3, label=study.ERRORS[error]
         )
-    axes["factors"].set_yticks(range(len(labels)), [f"{TITLES[name]}: {_settings(one)}" for name, one in labels])
-    axes["factors"].set_xscale("log")
-    axes["factors"].set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
-    axes["factors"].minorticks_off()
-    axes["factors"].axvline(1.0, color="grey", linewidth=0.8)
-    axes["factors"].set_xlabel("error of the renderer's own uniform sampling over the adaptive one's")
-    axes["factors"].legend()
+    factors.set_yticks(range(len(labels)), [f"{TITLES[name]}: {_settings(one)}" for name, one in labels])
+    factors.set_xscale("log")
+    factors.set_xticks([1, 2, 5, 10, 20], ["1", "2", "5", "10", "20"])
+    factors.minorticks_off()
+    factors.axvline(1.0, color="grey", linewidth=0.8)
+    factors.set_xlabel("error of the renderer's own uniform sampling over the adaptive one's")
+    factors.legend()
     drawing.savefig(path, dpi=100)
     plt.close(drawing)
 

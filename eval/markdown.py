@@ -39,10 +39,11 @@ def _preamble(found: Results) -> str:
     named = "; ".join(", ".join(f"{name} {version}" for name, version in json.loads(v).items()) for v in versions)
     machines = "; ".join(sorted({row["machine"] for row in found.done}))
     rejected = sum(row["rejected"] for row in found.done)
-    again = suite.name if suite.name in shipped() else f"{found.path.name}/suite.toml"
+    folder = found.path.name if found.path.is_absolute() else found.path.as_posix()
+    again = suite.name if suite.name in shipped() else f"{folder}/suite.toml"
     return (
         f"# Suite {suite.name}\n\n{suite.about}\n\n"
-        f"`pmc-sampler bench {again} -o {found.path.name}`\n\n"
+        f"`pmc-sampler bench {again} -o {folder}`\n\n"
         f"{suite.seeds} seeds.{incomplete} {named}. {machines}. "
         f"{rejected} samples were rejected as not finite or negative.\n\n"
         f"Factors are the error of *{suite.baseline}* over the method's, taken seed by seed: median and 95 % bootstrap "

@@ -50,8 +50,9 @@ def main(words: list[str] | None = None) -> int:
         cache=options.output / "reference",
     )
     write_images(options.output, results, reference)
-    contact_sheet(options.output / "demo.png", results, reference)
-    print(table(results, reference))
+    errors = {name: errors_of(result, reference) for name, result in results.items()}
+    contact_sheet(options.output / "demo.png", results, reference, errors)
+    print(table(results, reference, errors))
     print(f"\n{time.perf_counter() - began:.0f} s in all. Written to {options.output}/:")
     for file, text in files().items():
         print(f"  {file:34} {text}")
@@ -122,7 +123,16 @@ def radii() -> str:
     return ", ".join(f"{colour} {radius:g} px" for colour, radius in zip(colours, sizes, strict=True))
 
 
-def contact_sheet(path: Path, results: dict[str, Result], reference: references.Reference) -> None:
+def errors_of(result: Result, reference: references.Reference) -> tuple[float, float]:
+    """MSE and tvi error, the reference's own noise subtracted."""
+    image = result.film.mean
+    mse = metrics.mse(image, reference.mean, reference_variance=reference.variance)
+    return mse, metrics.tvi_error(image, reference.mean, reference_variance=reference.luminance_variance)
+
+
+def contact_sheet(
+    path: Path, results: dict[str, Result], reference: references.Reference, errors: dict[str, tuple[float, float]]
+) -> None:
     """One picture: images above, caustics below, strategy and sample counts beside them."""
     import matplotlib
 
@@ -130,10 +140,14 @@ def contact_sheet(path: Path, results: dict[str, Result], reference: references.
     from matplotlib import pyplot
 
     titles = {"pt": "path tracing", "pmc": "PMC, same samples", "reference": f"path tracing, {reference.spp} spp"}
+    figures = {
+        name: f"MSE {mse:.2g}, tvi error {tvi:.2g}, {results[name].seconds['total']:.1f} s"
+        for name, (mse, tvi) in errors.items()
+    }
     figure, axes = pyplot.subplots(2, 4, figsize=(16, 6.6), layout="constrained")
     for column, (name, image) in enumerate(pictures(results, reference).items()):
         axes[0, column].imshow(display(image), interpolation="nearest")
-        axes[0, column].set_title(titles[name])
+        axes[0, column].set_title("\n".join((titles[name], figures.get(name, "the reference"))))
         axes[1, column].imshow(display(crop(image)), interpolation="nearest")
         axes[1, column].set_title(f"{titles[name]}: the caustic")
     axes[0, 3].imshow(strategy_picture(results["pmc"]), interpolation="nearest")
@@ -148,16 +162,13 @@ def contact_sheet(path: Path, results: dict[str, Result], reference: references.
     pyplot.close(figure)
 
 
-def table(results: dict[str, Result], reference: references.Reference) -> str:
+def table(results: dict[str, Result], reference: references.Reference, errors: dict[str, tuple[float, float]]) -> str:
     """Time split, errors and bias of both methods, the reference's own noise subtracted."""
     head = ("method", "spp", "seconds", "renderer", "sampler", "MSE", "tvi error", "SSIM", "bias")
     lines = ["".join(f"{name:>11}" for name in head)]
-    errors = {}
     for name, result in results.items():
         image, seconds = result.film.mean, result.seconds
-        mse = metrics.mse(image, reference.mean, reference_variance=reference.variance)
-        tvi = metrics.tvi_error(image, reference.mean, reference_variance=reference.luminance_variance)
-        errors[name] = (mse, tvi)
+        mse, tvi = errors[name]
         cells = (
             "PT" if name == "pt" else "PMC",
             f"{result.spp:g}",

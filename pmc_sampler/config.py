@@ -21,7 +21,7 @@ class Config:
 
     The batch
         batch: samples in a batch; None: one for each pixel before anything adapts, and after that from one for every
-            fourth pixel to one for each, the more the thinner beta is spread; 4096 at least. A `population` that is
+            eighth pixel to one for each, the more the thinner beta is spread; 4096 at least. A `population` that is
             given sets the size of the batches that adapt.
         initial_spp: samples a pixel from the stratified pool before anything adapts; None: a sixteenth of the
             budget, held to 4 to 16.

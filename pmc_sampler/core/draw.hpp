@@ -12,10 +12,10 @@ enum : std::uint32_t { eliminate = 16, place, move, offset };
 
 inline std::uint64_t Sampler::batch_size() const {
     if (config.batch) return config.batch;
-    // Batches of a quarter of a sample a pixel steer sooner than those of one; where nothing steers, larger ones cost less.
+    // Batches of an eighth of a sample a pixel steer sooner than those of one; where nothing steers, larger ones cost less.
     // A small image takes several samples a pixel at once: below a few thousand the cost of a batch is its overhead.
     const bool steers = !config.is_uniform() && issued_ >= initial_;
-    return std::max<std::uint64_t>(film_.tiling.pixels() / (steers ? 4 : 1), 4096);
+    return std::max<std::uint64_t>(film_.tiling.pixels() / (steers ? 8 : 1), 4096);
 }
 
 // As many, or up to a sample a pixel where that tells no less: where the draws are spread so thinly that the pixels which they go to

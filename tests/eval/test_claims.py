@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from pmc_sampler.eval import benchmark, results, suite
 from pmc_sampler.eval.report import page
-from pmc_sampler.eval.report.claims import claims, edges, most, noise_map, order, ratio_within, share_within
+from pmc_sampler.eval.report.claims import between, claims, edges, most, noise_map, order, ratio_within, share_within
 from pmc_sampler.eval.statistics import Interval
 
 pytestmark = pytest.mark.needs("scipy", "skimage", "pyarrow", "tomli_w", "OpenImageIO", "jinja2", "matplotlib", "PIL")
@@ -58,6 +58,14 @@ def test_shares_within_a_mask() -> None:
     first[mask] *= 2.0
     more = share_within(first, first + second, mask)
     assert 1.2 < more.low < 4 / 3 < more.high < 1.45
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "held"),
+    [(0.85, 0.95, True), (0.7, 0.9, None), (0.9, 1.1, None), (0.5, 1.5, None), (0.5, 0.7, False), (1.1, 1.3, False)],
+)
+def test_slightly_more_error(low: float, high: float, held: bool | None) -> None:
+    assert between(Interval(0.5 * (low + high), low, high), 0.8, 1.0) is held
 
 
 def test_the_order_of_gains() -> None:
