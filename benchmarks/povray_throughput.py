@@ -8,7 +8,8 @@ its rate end to end, batch after batch from the second on, as the median and the
 time the microseconds a position that go to POV-Ray (its start, reading the rays, tracing) and to our own process
 (writing rays, reading images). The machine may be shared: processor time hardly depends on that, rates do.
 
-"heavy" is the same ball under an area light, for which POV-Ray itself needs tens of microseconds a position. There the
+"heavy" is the same ball under an area light, of as many lamps as make POV-Ray itself need about 40 microseconds a
+position on this machine. There the
 overhead is 1 - traced / ours, in processor seconds of a batch one after the other in each round: ours of all of our
 processes; traced what POV-Ray spends tracing the same rays in the same order, by its own statistics. So what is added
 is its start, the parsing of scene and rays, and the writing and reading by our own process. Beside it stands what
@@ -34,7 +35,7 @@ from pmc_sampler.adapters.povray.ray_mesh import mesh_camera
 
 from pmc_sampler import Budget, Config, Sampler
 
-LAMPS = 20  # along each side of the heavy scene's area light
+TARGET = 40.0  # microseconds of a position of the heavy scene
 WIDTH = 400  # pixels of the image; its height follows from the positions, one in each pixel
 TRIVIAL = """#version 3.7;
 global_settings { assumed_gamma 1 }
@@ -45,7 +46,17 @@ plane { y, 0 pigment { checker rgb 0.9 rgb 0.1 } }
 """
 
 
-HEAVY = TRIVIAL.replace("-5> 1 }", f"-5> 1 area_light 4*x, 4*y, {LAMPS}, {LAMPS} }}")
+def heavy_scene(lamps: int) -> str:
+    """With an area light of so many lamps along each side."""
+    return TRIVIAL.replace("-5> 1 }", f"-5> 1 area_light 4*x, 4*y, {lamps}, {lamps} }}")
+
+
+def calibrated(size: tuple[int, int]) -> str:
+    """The heavy scene whose positions take `TARGET`: its time grows with the number of lamps."""
+    few, many = 10, 40
+    low, high = (1e6 * native(heavy_scene(lamps), size) / (size[0] * size[1]) for lamps in (few, many))
+    per_lamp = (high - low) / (many**2 - few**2)
+    return heavy_scene(max(2, round(float(np.sqrt(few**2 + (TARGET - low) / per_lamp)))))
 
 
 def ours(renderer: PovRayRenderer, batches: list[Any]) -> tuple[list[float], dict[str, float]]:
@@ -71,13 +82,13 @@ def native(text: str, size: tuple[int, int]) -> float:
         return float(result.cpu)
 
 
-def traced(renderer: PovRayRenderer, batch: Any) -> float:
+def traced(renderer: PovRayRenderer, text: str, batch: Any) -> float:
     """Processor seconds in which POV-Ray traces a batch's rays, in the order that the renderer gives them."""
     order = numbers.order(batch.scramble, batch.index, batch.number)
     rays = mesh_camera(renderer.camera, renderer.width, renderer.height, batch.positions[order].astype(np.float64))
     switches = [f"+W{len(order)}", "+H1", "+FE", "+Oimage.exr", "-A", "-GD", "-GR", "+BS1024"]
     with program.private_folder() as folder:
-        result = program.run(folder, HEAVY + rays, switches)
+        result = program.run(folder, text + rays, switches)
         result.check("the scene")
     statistics = result.messages.partition("Trace Time:")[2]
     found = re.search(r"with ([\d.]+) CPU-seconds", statistics)
@@ -116,7 +127,8 @@ def trivial_rates(folder: Path, positions: int, processes: int, rounds: int) -> 
 def overhead(folder: Path, positions: int, processes: int, rounds: int) -> dict[str, Any]:
     """On the heavy scene: processor microseconds a position of both, and the overhead in each round."""
     size = (WIDTH, positions // WIDTH)
-    (scene := folder / "heavy.pov").write_text(HEAVY)
+    text = calibrated(size)
+    (scene := folder / "heavy.pov").write_text(text)
     renderer = PovRayRenderer(scene, size=size, processes=processes, check=False)
     batches, count = drawn(size, rounds + 1), size[0] * size[1]
     renderer(batches[0])
@@ -126,7 +138,7 @@ def overhead(folder: Path, positions: int, processes: int, rounds: int) -> dict[
         before, began = renderer.seconds["cpu"], time.process_time()
         renderer(batch)
         both = renderer.seconds["cpu"] - before + time.process_time() - began
-        rows.append((native(HEAVY, size), traced(renderer, batch), both))
+        rows.append((native(text, size), traced(renderer, text, batch), both))
     renderer.close()
     table = np.array(rows) / count * 1e6
     shares = 1 - table[:, 1] / table[:, 2]
