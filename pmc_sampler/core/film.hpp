@@ -137,10 +137,11 @@ public:
     // own count of its samples.
     void weights(std::uint32_t tile, TileWeights& w) const {
         const std::size_t first = std::size_t(tile) * Tiling::area;
+        inverses(drawn.data() + first, tiles_[tile].passes, w.inverse);
         if (rule_ == Beta::gain)
-            gains(score_.data() + first, drawn.data() + first, tiles_[tile].passes, w.pixel);
+            gains(score_.data() + first, w.inverse, w.pixel);
         else  // negative counts: see gains()
-            for (std::uint32_t i = 0; i < Tiling::area; ++i) w.pixel[i] = static_cast<std::int32_t>(drawn[first + i]) < 0 ? 0.0f : score_[first + i];
+            for (std::uint32_t i = 0; i < Tiling::area; ++i) w.pixel[i] = w.inverse[i] < 0.0f ? 0.0f : score_[first + i];
         if (power_ == 2.0)
             square(w.pixel);
         else if (power_ != 1.0)
@@ -161,7 +162,7 @@ public:
             tiles_[t].stale = false;
             weights(static_cast<std::uint32_t>(t), w);
             for (float column : w.column) tiles_[t].weight += column;
-            tiles_[t].crowding = crowding(w.pixel, drawn.data() + t * Tiling::area, tiles_[t].passes);
+            tiles_[t].crowding = crowding(w.pixel, w.inverse);
         }
     }
     double tile_weight(std::size_t tile) const { return tiles_[tile].weight; }

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <vector>
@@ -61,23 +62,15 @@ private:
     void draw(std::uint32_t tile, double place, double scale, std::size_t count, std::uint32_t* slots) const {
         TileWeights w;
         film_.weights(tile, w);
-        double start[Tiling::side], up_to[Tiling::side];
-        std::int32_t passed[Tiling::side], counts[Tiling::area];
-        for (std::uint32_t c = 0; c < Tiling::side; ++c) {
-            start[c] = place;
-            passed[c] = c ? static_cast<std::int32_t>(up_to[c - 1]) : 0;
-            place += scale * static_cast<double>(w.column[c]);
-            up_to[c] = c + 1 == Tiling::side ? static_cast<double>(count) : std::clamp(std::ceil(place), static_cast<double>(passed[c]), static_cast<double>(count));
-        }
-        count_draws(w.pixel, scale, start, up_to, passed, counts);
-        const std::uint32_t first = tile * Tiling::area;
+        std::int32_t counts[Tiling::area];
+        std::uint64_t drawn[Tiling::area / 64];
+        count_draws(w, scale, place, static_cast<double>(count), counts, drawn);
         std::size_t n = 0;
-        // Most pixels get none or one, in an order that no processor can predict: each is written, and the next one over it if it
-        // got none.
-        for (std::uint32_t i = 0; i < Tiling::area && n < count; ++i) {
-            slots[n] = first + i;
-            n += counts[i] > 0;
-            for (std::int32_t k = 1; k < counts[i]; ++k) slots[n++] = first + i;
+        for (std::uint32_t word = 0; word < Tiling::area / 64; ++word) {
+            for (std::uint64_t bits = drawn[word]; bits; bits &= bits - 1) {
+                const std::uint32_t i = 64 * word + static_cast<std::uint32_t>(std::countr_zero(bits));
+                for (std::int32_t k = 0; k < counts[i]; ++k) slots[n++] = tile * Tiling::area + i;
+            }
         }
         // The sums are rounded, each in its own way: a draw that falls between them goes to some pixel.
         for (; n < count; ++n) slots[n] = some_slot(tile);
