@@ -56,8 +56,8 @@ class PovRayRenderer:
     timeout
         Seconds that a run of POV-Ray may take, in each of its processes for its share of a batch.
     processes
-        How many trace at once, by default two for each processor, for a part of a process's time is spent asleep. The
-        noise depends on it: give it for the same image on machines with other numbers of processors.
+        How many trace at once, by default one for each processor. The noise depends on it: give it for the same image
+        on machines with other numbers of processors.
     check
         Whether the scene's camera is checked once by a small image, unless `camera` is given.
     radiosity, photons
@@ -137,12 +137,12 @@ class PovRayRenderer:
             if check:
                 self.agreement = _checked(made, self.camera, self.width, self.height)
         self.clamped = 0
-        self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or 2 * program.processors())
+        self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or program.processors())
 
     @classmethod
     def probe(cls) -> str:
         """A line on the version; raises RuntimeError if there is no POV-Ray, with what to install."""
-        return f"POV-Ray {program.version()} ({program.find()}), {2 * program.processors()} processes"
+        return f"POV-Ray {program.version()} ({program.find()}), {program.processors()} processes"
 
     @classmethod
     def version(cls) -> str:
