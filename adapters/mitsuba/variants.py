@@ -90,13 +90,28 @@ def choose(variant: str | None) -> str:
 
 @dataclass
 class _Ours:
-    """The variant that `active` left active, and how many of its blocks are entered."""
+    """The variant that `active` left active, if nobody has changed it since, and how many of its blocks are entered."""
 
     variant: str | None = None
     inside: int = 0
+    changing: bool = False
+
+    def change(self, variant: str) -> None:
+        """Makes it the active one."""
+        self.changing = True
+        try:
+            mi.set_variant(variant)
+        finally:
+            self.changing = False
+
+    def noticed(self, before: str | None, after: str) -> None:
+        """A variant has become the active one."""
+        if not self.changing:
+            self.variant = None
 
 
 _ours = _Ours()
+mi.detail.add_variant_callback(_ours.noticed)
 
 
 @contextlib.contextmanager
@@ -109,7 +124,7 @@ def active(variant: str) -> Iterator[None]:
     before = mi.variant()
     stays = before is None or (before == _ours.variant and not _ours.inside)
     if before != variant:
-        mi.set_variant(variant)
+        _ours.change(variant)
         if stays:
             _ours.variant = variant
     _ours.inside += 1
@@ -118,7 +133,7 @@ def active(variant: str) -> Iterator[None]:
     finally:
         _ours.inside -= 1
         if before != variant and not stays:
-            mi.set_variant(before)
+            _ours.change(before)
 
 
 def _cuda() -> bool:

@@ -134,7 +134,11 @@ def test_scenes_of_other_variants(mi: Any, small_scene: Any) -> None:
 
 
 def test_an_active_scalar_variant_is_no_obstacle(mi: Any) -> None:
-    """Other parts of a program may parse scenes in a scalar variant; it stays active for them."""
+    """Other parts of a program may parse scenes in a scalar variant; it stays active for them, even if the same one was
+    left active here before."""
+    from pmc_sampler.adapters.mitsuba import variants
+
+    variants._ours.variant = "scalar_rgb"
     with mi.util.variant_context("scalar_rgb"):
         r = renderer("diffuse", size=(8, 6))
         assert mi.variant() == "scalar_rgb"
