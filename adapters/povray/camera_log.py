@@ -105,14 +105,25 @@ class _Writer:
         return "".join(token.text for token in self._tokens[start : k - 1])
 
     def _statement(self, k: int, end: int, name: str | None) -> None:
-        default = self._is(k - 2, "#default") and self._is(k - 1, "{")
         target = "camera" if name is None else f"declare {name}"
-        kind = "default" if default else target
+        kind = "default" if self._in_default(k) else target
         self._insert(self._tokens[k + 1].end, _write(f'"begin {kind} "', "str(pmc_version,0,4)"))
         self._insert(self._tokens[end].start, _write('"end"'))
         j = k + 2
         while j < end:
             j = self._item(j, end)
+
+    def _in_default(self, k: int) -> bool:
+        """Whether what stands at k is an item of a `#default`, at whatever place among others."""
+        depth = 0
+        for j in range(k - 1, 0, -1):
+            if self._is(j, "}"):
+                depth += 1
+            elif self._is(j, "{"):
+                if depth == 0:
+                    return self._is(j - 1, "#default")
+                depth -= 1
+        return False
 
     def _item(self, k: int, end: int) -> int:
         """Takes the item or directive at k; returns where the next one is."""

@@ -44,7 +44,7 @@ class _State:
     blurs: bool = False
     focal_point: Array | None = None
     focal_distance: float | None = None
-    turns: list[Array] = field(default_factory=list)
+    turns: list[Array] = field(default_factory=list)  # a default's act on it, and again on each camera made from it
     given: set[str] = field(default_factory=set)
     used: bool = False
 
@@ -122,7 +122,7 @@ def camera_of(log: str, file: str) -> Camera:
                         f"the camera of {file} uses {values}, which is no camera that could be followed; give the "
                         "camera's location, right, up and direction"
                     )
-                state = dataclasses.replace(copy.deepcopy(known[values]), given=set(), used=True)
+                state = dataclasses.replace(copy.deepcopy(known[values]), turns=[], given=set(), used=True)
             else:
                 numbers = [[float(value) for value in part.split()] for part in values.split("\t")] if values else []
                 _item(state, name, numbers, version >= 3.5, file)
@@ -196,4 +196,3 @@ def _finish(state: _State) -> None:
         state.focus()
     for points in state.turns:
         state.turn(points)
-    state.turns = []

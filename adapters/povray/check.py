@@ -45,7 +45,7 @@ class Agreement:
         The mean difference relative to the mean.
     noise
         The same between two images of ours with other random numbers, and moved by less than can be seen; None if
-        nearly all pixels are the same.
+        nearly all pixels are the same, and the others hardly differ.
     """
 
     same: float
@@ -55,7 +55,7 @@ class Agreement:
     @property
     def good(self) -> bool:
         """Whether nearly all pixels are the same, or they are as close to each other as two images of ours."""
-        return self.noise is None or self.apart <= max(_NOISE * self.noise, _SAME)
+        return self.noise is None or self.apart <= max(_NOISE * self.noise, _SAME if self.same >= _SHARE else 0.0)
 
 
 def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
@@ -72,7 +72,7 @@ def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
         own.wait(source.timeout).check(str(source.file))
         theirs = images.finished(folders[1] / IMAGE, source.file, width, height)
         same, apart = _same(theirs, ours), _apart(theirs, ours)
-        if not camera.has_lens and same >= _SHARE:
+        if not camera.has_lens and same >= _SHARE and apart <= _SAME:
             return Agreement(same, apart)
         again = _Rays(scene, camera, width, height, 2, _SHIFT).image(folders[3])
     agreement = Agreement(same, apart, _apart(ours, again))

@@ -10,6 +10,7 @@ SCENES = {
     "a.xml": b'<string name="filename" value="parts/used.bin"/>',
     "a.gltf": b'{"buffers": [{"uri": "parts/used.bin"}]}',
     "a.pov": b'#include "b.inc"',
+    "a.ini": b"Width=64\nInput_File_Name = parts/used.bin ; the scene\n",
 }
 
 

@@ -40,6 +40,11 @@ CAMERAS = [
     "camera { location 1 } camera { location 2 look_at z } #declare Later = camera { location 3 }",
     "#if (0) camera { location 1 } #else camera { location 2 } #end #if (0) camera { location 3 } #end",
     "#default { camera { location <1, 2, 3> } } camera { look_at <4, 2, 5> angle 50 }",
+    # A default's transformations act once more on a camera made from it, and not on one that begins with another.
+    "#default { camera { location <1, 2, 3> rotate 30*y translate x } } camera { look_at <4, 2, 5> scale 2 }",
+    "#default { camera { location 1 angle 50 } } #default { camera { translate x } } camera { rotate 10*y }",
+    "#default { finish { ambient 0 } camera { location <1, 2, 3> rotate 10*y } pigment { rgb 1 } } camera { angle 70 }",
+    "#default { camera { rotate 10*y } } #declare B = camera { location 1 } camera { B translate x }",
     # Directives, macros, comments and random numbers within.
     "camera { location #if (1) <1, 2, 3> #else 2 #end // look_at 1\n /* angle 1 /* */ */ look_at 0 }",
     "camera { #declare P = <1, 2, 0>; location P #ifdef (P) angle 80 #else angle 20 #end look_at 0 }",

@@ -85,3 +85,16 @@ def test_the_check_knows_a_wrong_camera(povray: Any, clean: None, tmp_path: Path
     check.check(scene, povray.Camera("perspective", **right, direction=(0, 0, 1)), 64, 48)
     with pytest.raises(ValueError, match=r"the camera found in .*scene.pov is not the one that POV-Ray uses"):
         check.check(scene, povray.Camera("perspective", **right, direction=(0.1, 0, 1)), 64, 48)
+
+
+def test_the_check_knows_a_wrong_camera_by_few_pixels(povray: Any, clean: None, tmp_path: Path) -> None:
+    """A small ball on black, without noise: 97 % of the pixels are the same wherever the camera looks."""
+    from pmc_sampler.adapters.povray import check, source
+
+    file = tmp_path / "scene.pov"
+    file.write_text("sphere { 0, 0.3 pigment { rgb 1 } finish { ambient 1 } } camera { location -5*z }")
+    scene = source.of_file(file, (), (), 60)
+    right = {"location": (0, 0, -5), "right": (1.33, 0, 0), "up": (0, 1, 0)}
+    assert check.check(scene, povray.Camera("perspective", **right, direction=(0, 0, 1)), 64, 48).noise is None
+    with pytest.raises(ValueError, match=r"is not the one that POV-Ray uses"):
+        check.check(scene, povray.Camera("perspective", **right, direction=(0.1, 0, 1)), 64, 48)
