@@ -133,12 +133,12 @@ class _Writer:
         if token.kind != "word":
             return k + 1
         word = token.text
-        if word in TYPES or word in ("mesh_camera", "bokeh"):
+        if word in TYPES:
             self._insert(token.start, _write(f'"item {word}"'))
-            return self._after(k, end) if word == "mesh_camera" else k + 1
+            return k + 1
         if word in _UNUSED:
             return self._after(k, end)
-        if word in ("normal", "blur_samples"):
+        if word in ("normal", "blur_samples", "mesh_camera", "bokeh"):
             self._insert(token.start, _write(f'"item {word}"'))
             return self._after(k, end)
         if word in VECTORS or word in _FLOATS:

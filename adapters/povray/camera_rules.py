@@ -148,9 +148,9 @@ def camera_of(log: str, file: str) -> Camera:
 
 def _item(state: _State, name: str, values: list[list[float]], late: bool, file: str) -> None:
     """One item; `late` where it acts at the statement's end."""
-    if name in ("mesh_camera", "normal"):
+    if name in ("mesh_camera", "normal", "bokeh"):
         raise ValueError(
-            f"the camera of {file} has {'a normal' if name == 'normal' else 'the type mesh_camera'}, which only "
+            f"the camera of {file} has {'the type mesh_camera' if name == 'mesh_camera' else f'a {name}'}, which only "
             "POV-Ray itself can follow; use another camera, or give its location, right, up and direction"
         )
     state.given.add(name)

@@ -155,6 +155,7 @@ def test_included_cameras(source_of: Any, extract: Any, tmp_path: Path) -> None:
 ERRORS = {
     "sphere { 0, 1 }": "has no camera that could be found; add one",
     "camera { normal { bumps 1 } }": "has a normal, which only POV-Ray itself can follow",
+    "camera { aperture 1 blur_samples 4 bokeh { pigment { rgb 1 } } }": "has a bokeh, which only POV-Ray itself can",
     "camera { mesh_camera { 1 1 mesh { triangle { 0, x, y } } } }": "has the type mesh_camera",
     "\n\ncamera { location 1\n angle 400 }": r"scène\.pov' line 4: Parse Error: Viewing angle has to be smaller",
     "camera { location 1\n look_at 2 } camera {\n location Nowhere }": r"scène\.pov' line 3.*'Nowhere'",
