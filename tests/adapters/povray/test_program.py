@@ -152,7 +152,7 @@ def test_a_sandbox_keeps_files(program: Any, plain_text: str, tmp_path: Path, cl
             with program.private_folder() as folder:
                 result = program.Process(folder, text, TINY, sandboxed=sandboxed).wait(60)
                 assert (result.status != 0) == sandboxed
-                # "Cannot open" the file, as a rule; now and then POV-Ray ends before it has said more than the last part.
+                # As a rule it cannot open the file; now and then POV-Ray ends before it has said so.
                 assert any(said in result.error for said in ("Cannot open", "Cannot parse input")) == sandboxed
             found = {file.name: file.read_text() for file in tmp_path.glob("*.txt")}
             assert found == {"kept.txt": "mine"} | ({} if sandboxed else {name: "x"})
