@@ -141,16 +141,17 @@ def peak(size: int, sigma: float) -> np.ndarray:
 
 
 def corrected(
-    plain: np.ndarray, pool: np.ndarray, pool_samples: np.ndarray, config: Config, signed: bool
+    plain: np.ndarray, pool: np.ndarray, pool_samples: np.ndarray, size: np.ndarray, config: Config, signed: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`Film.mean` of (height, width, 3) means, and the size of the terms that it is summed from."""
-    size = np.abs(plain) + np.abs(pool)
+    """`Film.mean` of (height, width, 3) means, and the size of the terms that it is summed from; of `size` are those that
+    both means of a pixel are.
+    """
     if config.correction == 0.0 or config.pool_share == 1.0 or config.estimator == "unbiased":
         return plain, size
     height, width = pool_samples.shape
     sigma, knee = config.correction_sigma, config.correction_knee
     columns, rows = smoother(width, sigma), smoother(height, sigma)
-    image = plain.copy()
+    image, size = plain.copy(), size.copy()
     for c in range(3):
         P, U = plain[..., c], pool[..., c]
         blurred = [rows @ a @ columns.T for a in (np.ones_like(P), np.maximum(P, 0))]
@@ -250,7 +251,8 @@ class Oracle:
             "pool_samples": count(pool).reshape(shape),
             "rejected": np.array((~valid).sum()),
         }
-        pool_mean = mean(pool, values[:, :3])
+        pool_mean, pool_size = mean(pool, values[:, :3]), mean(pool, np.abs(values[:, :3]))
+        sizes = size[..., :3] + pool_size
         half = [mean(rank % 2 == i, values[:, :3]) for i in (0, 1)]
         # All samples of a pixel are in what the second half is computed from.
         return {
@@ -258,10 +260,10 @@ class Oracle:
             "plain_mean": (average[..., :3], size[..., :3]),
             "aovs": (average[..., 3:], size[..., 3:]),
             "standard_error": (error, size[..., :3]),
-            "pool_mean": (pool_mean, mean(pool, np.abs(values[:, :3]))),
+            "pool_mean": (pool_mean, pool_size),
             "first_half": (half[0], mean(rank % 2 == 0, np.abs(values[:, :3]))),
             "second_half": (half[1], 2 * size[..., :3]),
-            "mean": corrected(average[..., :3], pool_mean, counts["pool_samples"], s.config, s.signed),
+            "mean": corrected(average[..., :3], pool_mean, counts["pool_samples"], sizes, s.config, s.signed),
         }
 
     def check(self, film: Film) -> None:

@@ -226,45 +226,28 @@ def told(
     return truth
 
 
-def against_the_oracle(
-    sampler: Sampler,
-    radiance: Any,
-    data: Any,
-    oracle: Any,
-    renderers: SimpleNamespace,
-    tools: SimpleNamespace,
-    folder: Path,
-) -> None:
-    truth = told(sampler, oracle, radiance, data, folder / "state", renderers, tools)
-    assert truth.sampler.samples + truth.sampler.rejected == sampler._native.total
-    truth.check(truth.sampler.film)
+@pytest.fixture(scope="session")
+def against_the_oracle(oracle: Any, renderers: SimpleNamespace, tools: SimpleNamespace, tmp_path_factory: Any) -> Any:
+    """Checks a film that is `told` against the oracle."""
+
+    def check(sampler: Sampler, radiance: Any, data: Any) -> None:
+        state = tmp_path_factory.getbasetemp() / "state"
+        truth = told(sampler, oracle, radiance, data, state, renderers, tools)
+        assert truth.sampler.samples + truth.sampler.rejected == truth.sampler._native.total
+        truth.check(truth.sampler.film)
+
+    return check
 
 
 @given(sampler=any_samplers(), radiance=radiances(), data=st.data())
 @settings(exactly, max_examples=250)
-def test_any_film(
-    sampler: Sampler,
-    radiance: Any,
-    data: Any,
-    oracle: Any,
-    renderers: SimpleNamespace,
-    tools: SimpleNamespace,
-    tmp_path_factory: Any,
-) -> None:
+def test_any_film(sampler: Sampler, radiance: Any, data: Any, against_the_oracle: Any) -> None:
     """Counts exactly, all pictures within the tolerances of `Oracle.check`."""
-    against_the_oracle(sampler, radiance, data, oracle, renderers, tools, tmp_path_factory.getbasetemp())
+    against_the_oracle(sampler, radiance, data)
 
 
 @pytest.mark.long
 @given(sampler=any_samplers(), radiance=radiances(), data=st.data())
 @settings(exactly, max_examples=5000, derandomize=False)
-def test_any_film_at_length(
-    sampler: Sampler,
-    radiance: Any,
-    data: Any,
-    oracle: Any,
-    renderers: SimpleNamespace,
-    tools: SimpleNamespace,
-    tmp_path_factory: Any,
-) -> None:
-    against_the_oracle(sampler, radiance, data, oracle, renderers, tools, tmp_path_factory.getbasetemp())
+def test_any_film_at_length(sampler: Sampler, radiance: Any, data: Any, against_the_oracle: Any) -> None:
+    against_the_oracle(sampler, radiance, data)
