@@ -72,12 +72,12 @@ inline void corrected_mean(const Film& film, const Config& config, float* out, T
             // take most of it. What is taken away must be there, so that the lower counts; what is added does less harm.
             const float most = lacking > 0.0f ? 2.0f : 0.5f;
             const float brightness = lacking > 0.0f ? std::max(knee, spread[i]) : std::min(1.0f, knee / std::max(1.0f - spread[i], knee));
-            // In doubles: far below the brightest both products would be 0 in floats, and a small share would lose its digits.
+            // In doubles: far below the brightest both products would be 0 in floats.
             const double present = double(spread[i]) * mean[i] * brightness;
             const double change = present > 0.0 ? double(smooth.share(i)) * std::abs(lacking) / present : std::numeric_limits<double>::infinity();
-            const double share = change <= most ? 1.0 : std::pow(most / change, 4.0);
-            residual[i] = share > 0.0 ? static_cast<float>(share * lacking / spread[i]) : 0.0f;
-            kept[i] = static_cast<float>(lacking - share * lacking);
+            const float share = change <= most ? 1.0f : static_cast<float>(std::pow(most / change, 4.0));
+            residual[i] = share > 0.0f ? share * (lacking / spread[i]) : 0.0f;
+            kept[i] = lacking - share * lacking;
         });
         smooth(residual, threads);
         for (std::size_t i = 0; i < n; ++i) {
