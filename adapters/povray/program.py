@@ -80,6 +80,8 @@ class Result:
             found = re.sub(rf"(?<![\w/]){re.escape(ours)}(?!\w)", literal, found)
         if "std::bad_alloc" in found:
             found += " (out of memory)"
+        if found.startswith("Fatal error in parser:"):  # follows the error itself, which is lost where memory runs out
+            return "POV-Ray cannot parse it and ended before it said why (out of memory?)"
         return found or f"POV-Ray ended with status {self.status} and no message"
 
     def check(self, what: str) -> None:
