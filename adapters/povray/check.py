@@ -15,7 +15,7 @@ from .numbers import lens
 from .prepare import sized
 from .program import private_folder
 from .ray_mesh import mesh_camera
-from .source import IMAGE, Source
+from .source import Source, image
 
 __all__ = ["Agreement", "check", "small"]
 
@@ -70,7 +70,7 @@ def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
         stack.callback(own.kill)
         ours = _Rays(scene, camera, width, height, 1).image(folders[2])  # while the other runs
         own.wait(source.timeout).check(str(source.file))
-        theirs = images.finished(folders[1] / IMAGE, source.file, width, height)
+        theirs = images.finished(image(folders[1]), source.file, width, height)
         same, apart = _same(theirs, ours), _apart(theirs, ours)
         if not camera.has_lens and same >= _SHARE and apart <= _SAME:
             return Agreement(same, apart)
@@ -109,7 +109,7 @@ class _Rays:
         out = np.zeros((self._size[0] * self._size[1], 3), np.float32)
         if len(self._pixel):
             self._source.run(folder, (f"+W{len(self._pixel)}", "+H1"), self._text)
-            np.add.at(out, self._pixel, images.finished(folder / IMAGE, self._source.file, len(self._pixel), 1)[0])
+            np.add.at(out, self._pixel, images.finished(image(folder), self._source.file, len(self._pixel), 1)[0])
         out /= np.float32(self._rays)
         return out.reshape(self._size)
 

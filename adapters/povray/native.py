@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from ..inputs import check_whole
 from .images import finished
 from .program import private_folder, processors
-from .source import IMAGE, Source
+from .source import Source, image
 
 __all__ = ["Native", "render"]
 
@@ -99,7 +99,7 @@ def render(
         began = time.perf_counter()
         result = source.run(folder, arguments, camera)
         seconds = time.perf_counter() - began
-        pixels = finished(folder / IMAGE, source.file, width, height)
+        pixels = finished(image(folder), source.file, width, height)
     counts = _COUNTS.search(result.messages)
     if counts is None:
         raise RuntimeError(f"POV-Ray does not say how many samples its image of {source.file} has")

@@ -6,7 +6,7 @@ import itertools
 import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 __all__ = ["Options", "read"]
@@ -17,10 +17,22 @@ _PASSED = re.compile(
     r"|Vista_Buffer|Light_Buffer)\s*=.*",
     re.IGNORECASE,
 )
+# Of animations: the switch, its long name and what its value looks like.
+_FRAMES = {
+    "KFI": ("Initial_Frame", r"\d{1,9}"),
+    "KFF": ("Final_Frame", r"\d{1,9}"),
+    "KI": ("Initial_Clock", r"[-+]?[\d.]+"),
+    "KF": ("Final_Clock", r"[-+]?[\d.]+"),
+    "SF": ("Subset_Start_Frame", r"\d{1,9}"),
+    "EF": ("Subset_End_Frame", r"\d{1,9}"),
+    "KC": ("Cyclic_Animation", r"on|off|yes|no|true|false|1|0|"),
+}
 _MOST_FILES = 1000
 _HERE = (
-    "what can be given is Declare=NAME=VALUE, Library_Path=FOLDER or +LFOLDER, Width, Height, Clock or +K, Version, "
-    "Quality or +Q, the options for bounding, and INI files (NAME.ini or NAME.ini[SECTION])"
+    "what can be given is Declare=NAME=VALUE, Library_Path=FOLDER or +LFOLDER, Width, Height, Clock or +K, a frame of "
+    "an animation (Initial_Frame, Final_Frame, Initial_Clock, Final_Clock, Cyclic_Animation, Subset_Start_Frame, or "
+    "+KFI, +KFF, +KI, +KF, +KC, +SF), Version, Quality or +Q, the options for bounding, and INI files (NAME.ini or "
+    "NAME.ini[SECTION])"
 )
 
 
@@ -33,16 +45,18 @@ class Options:
     height: int | None = None
     libraries: tuple[Path, ...] = ()
     switches: tuple[str, ...] = ()
+    frames: dict[str, str] = field(default_factory=dict)  # of an animation: values by the names of their switches
 
 
 def read(options: Sequence[str]) -> Options:
     """The options together; later ones go before earlier ones.
 
-    Of an INI file what concerns output, display, anti-aliasing, threads and animation is left out, for that is ours;
-    its relative paths are taken from where it is if they exist there, else from the working folder.
+    Of an INI file what concerns output, display, anti-aliasing and threads is left out, for that is ours; its relative
+    paths are taken from where it is if they exist there, else from the working folder. Of an animation one frame is
+    chosen (`Subset_Start_Frame` or `+SF`); POV-Ray then has its number and clock.
 
-    Raises ValueError for an option that is unknown or ours, or malformed; FileNotFoundError for an INI file or folder
-    that is missing.
+    Raises ValueError for an option that is unknown or ours, or malformed, and for an animation of which no single frame
+    is chosen; FileNotFoundError for an INI file or folder that is missing.
     """
     if isinstance(options, str):
         raise TypeError(f"options are a sequence of strings such as ['Declare=N=3'], not the string {options!r}")
@@ -55,6 +69,7 @@ def read(options: Sequence[str]) -> Options:
             continue
         for line in _lines(Path(name), section):
             _take(result, line, Path(name).parent)
+    result.switches += _one_frame(result.frames)
     return result
 
 
@@ -72,6 +87,11 @@ def _take(result: Options, option: str, folder: Path) -> bool:
     elif match := re.fullmatch(r"(?:Input_File_Name\s*=|[+-]I)\s*(.+)", option, re.IGNORECASE):
         path = _path(match[1], folder)
         result.scene = path if path.exists() or path.suffix else path.with_suffix(".pov")
+    elif frame := _frame(option):
+        name, value = frame
+        result.frames[name] = value
+        if name == "SF":
+            result.frames.pop("EF", None)  # the end of what was chosen before
     elif _PASSED.fullmatch(option):
         option = re.sub(r"\s*=\s*", "=", option)
         if re.search(r"\s", option) or not option.isascii():
@@ -80,6 +100,35 @@ def _take(result: Options, option: str, folder: Path) -> bool:
     else:
         return False
     return True
+
+
+def _frame(option: str) -> tuple[str, str] | None:
+    """The switch and the value of an option for animations, or None."""
+    for switch, (name, value) in _FRAMES.items():
+        if match := re.fullmatch(rf"(?:{name}\s*=\s*|[+-]{switch})({value})", option, re.IGNORECASE):
+            on = option[0] != "-" and match[1].lower() not in ("off", "no", "false", "0")
+            return switch, match[1] if switch != "KC" else ("+" if on else "-")
+    return None
+
+
+def _one_frame(frames: dict[str, str]) -> tuple[str, ...]:
+    """The switches for one frame of an animation; none where there is no animation."""
+    first, last = int(frames.get("KFI", 1)), int(frames.get("KFF", 0))
+    chosen = int(frames.get("SF", first if first == last else -1))
+    if last == 0:
+        if "SF" in frames:
+            raise ValueError(f"frame {chosen} of no animation: give its last frame, too (Final_Frame=N or +KFFN)")
+        return ()
+    if chosen < 0 or int(frames.get("EF", chosen)) != chosen:
+        raise ValueError(
+            f"the options are for an animation of frames {first} to {last}, and one is rendered at a time: choose it "
+            f"by Subset_Start_Frame={first} or +SF{first}"
+        )
+    if not first <= chosen <= last:
+        raise ValueError(f"frame {chosen} is not one of the animation's, {first} to {last}")
+    clocks = tuple(f"+{switch}{frames[switch]}" for switch in ("KI", "KF") if switch in frames)
+    cyclic = (f"{frames['KC']}KC",) if "KC" in frames else ()
+    return (f"+KFI{first}", f"+KFF{last}", *clocks, *cyclic, f"+SF{chosen}", f"+EF{chosen}")
 
 
 def _path(text: str, folder: Path) -> Path:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from .program import private_folder
 from .scene_text import has_radiosity, with_photons
-from .sdl import changed, with_size
+from .sdl import changed, texts, with_size
 from .source import Source
 
 __all__ = ["sized", "with_photons_saved", "with_radiosity_saved"]
@@ -37,12 +37,13 @@ def with_photons_saved(source: Source, folder: Path) -> Source:
 
 
 def with_radiosity_saved(source: Source, width: int, height: int, folder: Path) -> Source:
-    """The scene with the radiosity of an image of `width` by `height` pixels in a file in `folder`; as it is, if its
-    own text has no `global_settings { radiosity { ... } }`.
+    """The scene with the radiosity of an image of `width` by `height` pixels in a file in `folder`.
+
+    It is as it was if neither its text nor a file that it includes has `global_settings { radiosity { ... } }`.
 
     Raises as `Source.run`.
     """
-    if not has_radiosity(source.text):
+    if not any(map(has_radiosity, texts(source))):
         return source
     with private_folder() as place:
         source.run(place, (f"+W{width}", f"+H{height}", "+RFO", f"+RF{_RADIOSITY}"))

@@ -11,11 +11,13 @@ import signal
 import subprocess
 import tempfile
 import time
+import weakref
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 __all__ = [
+    "LastingFolder",
     "Process",
     "Result",
     "find",
@@ -297,6 +299,38 @@ def private_folder() -> Iterator[Path]:
     """An empty folder that is removed afterwards, with all that is in it."""
     with tempfile.TemporaryDirectory(prefix="pmc-povray-", ignore_cleanup_errors=True) as name:
         yield Path(name)
+
+
+class LastingFolder:
+    """An empty folder, `path`. It is removed with all that is in it by `close`, which happens by itself when the object
+    goes or Python ends; and even if this process is killed, by another that waits for its end.
+    """
+
+    def __init__(self) -> None:
+        self.path = Path(tempfile.mkdtemp(prefix="pmc-povray-"))
+        # Once more after a second, for what processes that end at the same time have still written.
+        command = ["/bin/sh", "-c", 'read -r _; rm -rf -- "$0"; sleep 1; rm -rf -- "$0"', str(self.path)]
+        # In a session of its own, so that Ctrl-C does not reach it.
+        guard = subprocess.Popen(
+            command,
+            cwd="/",
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
+        self.close = weakref.finalize(self, _remove, self.path, guard, os.getpid())
+
+
+def _remove(folder: Path, guard: subprocess.Popen[bytes], owner: int) -> None:
+    """A forked child, which has the object but not the folder, keeps off."""
+    if os.getpid() != owner:
+        return
+    shutil.rmtree(folder, ignore_errors=True)
+    guard.kill()
+    guard.wait()
+    if guard.stdin is not None:
+        guard.stdin.close()
 
 
 def read_text(file: Path) -> str:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 import threading
-import weakref
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -118,15 +115,15 @@ class PovRayRenderer:
             program.sandbox(Path.cwd())  # at once, if there is none
         self.sampler = sampler
         self._lock = threading.Lock()
-        self._folder = Path(tempfile.mkdtemp(prefix="pmc-povray-"))
-        weakref.finalize(self, _remove, self._folder, os.getpid())
+        self._made = program.LastingFolder()
+        folder = self._made.path
         self._filter: dict[str, Any] = {"filter": "box", "filter_radius": 0.5}
         file, given, size = self._named(scene, size, options, radiosity, photons)
         self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
         check_size((self.width, self.height))
         self._source = source.of_file(file, given.libraries, given.switches, timeout, sandbox)
-        made = with_photons_saved(self._source, self._folder)
-        made = with_radiosity_saved(made, self.width, self.height, self._folder)
+        made = with_photons_saved(self._source, folder)
+        made = with_radiosity_saved(made, self.width, self.height, folder)
         self.scene = file
         self._own_camera = camera is None
         self.agreement: checks.Agreement | None = None
@@ -137,7 +134,7 @@ class PovRayRenderer:
             if check:
                 self.agreement = _checked(made, self.camera, self.width, self.height)
         self.clamped = 0
-        self._pool = Pool(sized(made, self.width, self.height, self._folder), processes or program.processors())
+        self._pool = Pool(sized(made, self.width, self.height, folder), processes or program.processors())
 
     @classmethod
     def probe(cls) -> str:
@@ -204,7 +201,7 @@ class PovRayRenderer:
     def close(self) -> None:
         """Ends the processes that wait for the next batch; happens by itself when the object goes, or Python ends."""
         self._pool.close()
-        _remove(self._folder, os.getpid())
+        self._made.close()
 
     def __call__(self, batch: Any) -> NDArray[np.float32]:
         """The radiance of each sample of `batch`, shape (n, 3), float32, linear RGB.
@@ -254,7 +251,7 @@ class PovRayRenderer:
 
         made = scene_of(scene, size)
         self._filter = dict(made.filter)
-        file = export(made, self._folder / "exported", radiosity=radiosity, photons=photons)
+        file = export(made, self._made.path / "exported", radiosity=radiosity, photons=photons)
         return file, options.read(given), (made.camera.width, made.camera.height)
 
 
@@ -274,8 +271,3 @@ def _camera(given: Camera | Mapping[str, Any]) -> Camera:
             "a camera is a Camera, or a mapping with location, right, up, direction and what else a Camera has "
             f"({str(error).partition(') ')[2] or error})"
         ) from None
-
-
-def _remove(folder: Path, owner: int) -> None:
-    if os.getpid() == owner:
-        shutil.rmtree(folder, ignore_errors=True)

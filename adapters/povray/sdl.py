@@ -5,14 +5,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import re
-from collections.abc import Callable, Iterator, Sequence
+import zlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from .program import read_text, write_text
 from .source import Source
 
-__all__ = ["Token", "changed", "tokens", "with_size"]
+__all__ = ["Token", "changed", "texts", "tokens", "with_size"]
 
 # Comments and white space are left out; `/*` nests and is followed by hand.
 _TOKEN = re.compile(
@@ -80,34 +81,88 @@ def with_size(text: str, width: int, height: int) -> str:
 
 
 def changed(source: Source, change: Callable[[str], str], folder: Path) -> Source:
-    """The scene with `change` made to its text and to the files that it includes.
+    """The scene with `change` made to its text and to the files that it includes; see `_reached` for which.
 
-    Included files that change are written to `folder`, under the names by which they are included; it has to be empty
-    and to stay as long as the scene. They are put beside the scene, where POV-Ray looks first: before all libraries, of
-    which those of its own settings come first. The files are those that are included by a relative name written out,
-    from the scene's libraries or POV-Ray's own, and where a name is put together, all `.inc` files of the libraries.
+    Included files that change are written to `folder`, which has to be empty and to stay as long as the scene. They
+    are put beside the scene, where POV-Ray looks first: before all libraries, of which those of its own settings come
+    first. Their names are those by which they are included, but for absolute paths and paths upwards: for these the
+    statement changes, too, and with it the file that it is in.
+    """
+    reached = _reached(source)
+    new = {name: change(file.text) for name, file in reached.items()}
+    differ = {name for name, file in reached.items() if file.ours or new[name] != file.text}
+    while more := {name for name, file in reached.items() if file.outside & differ} - differ:
+        differ |= more
+    names = {
+        name: f"pmc_{zlib.crc32(name.encode('utf-8', 'surrogateescape')):08x}_{reached[name].path.name}"
+        for name in differ
+        if _is_outside(name)
+    }
+    for name in sorted(differ):
+        # With its ending, under which POV-Ray looks for it first.
+        place = folder / names[name] if name in names else (folder / name).with_name(reached[name].path.name)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        write_text(place, _renamed(new[name], names))
+    beside = dict(source.files) | {place.name: place for place in sorted(folder.iterdir())}
+    return dataclasses.replace(source, text=_renamed(change(source.text), names), files=tuple(beside.items()))
+
+
+def texts(source: Source) -> list[str]:
+    """The scene's text and those of the files that it includes; see `_reached` for which."""
+    return [source.text, *(file.text for file in _reached(source).values())]
+
+
+@dataclass(frozen=True)
+class _File:
+    """An included file: where it is, its text, and whether a change before has made it."""
+
+    path: Path
+    text: str
+    ours: bool
+
+    @property
+    def outside(self) -> set[str]:
+        """The names of those that it includes itself from outside the libraries."""
+        return {name for name in _included(self.text, ()) if _is_outside(name)}
+
+
+def _reached(source: Source) -> dict[str, _File]:
+    """The included files, by the names by which they are included.
+
+    They are those whose name is written out, from beside the scene, its libraries or POV-Ray's own; where a name is put
+    together, all `.inc` files of the scene's libraries.
     """
     libraries = [*_own_libraries(), *source.libraries]
     beside = dict(source.files)
+    found: dict[str, _File] = {}
     waiting, seen = list(_included(source.text, source.libraries)), set()
     while waiting:
         name = waiting.pop()
-        first, *rest = Path(name).parts or ("",)
-        ours = beside[first].joinpath(*rest) if first in beside else None
-        file = ours if ours is not None and ours.is_file() else _find(name, libraries)
-        if name in seen or file is None:
+        if name in seen:
             continue
         seen.add(name)
-        text = read_text(file)
-        waiting += _included(text, source.libraries)
-        new = change(text)
-        # With its ending, under which POV-Ray looks for it first.
-        place = (folder / name).with_name(file.name)
-        if (new != text or file == ours) and not Path(name).is_absolute() and ".." not in Path(name).parts:
-            place.parent.mkdir(parents=True, exist_ok=True)
-            write_text(place, new)
-    beside.update((place.name, place) for place in sorted(folder.iterdir()))
-    return dataclasses.replace(source, text=change(source.text), files=tuple(beside.items()))
+        first, *rest = Path(name).parts or ("",)
+        ours = beside[first].joinpath(*rest) if first in beside else None
+        path = ours if ours is not None and ours.is_file() else _find(name, libraries)
+        if path is not None:
+            found[name] = _File(path, read_text(path), path == ours)
+            waiting += _included(found[name].text, source.libraries)
+    return found
+
+
+def _is_outside(name: str) -> bool:
+    """Whether a file of that name cannot be put beside the scene."""
+    return Path(name).is_absolute() or ".." in Path(name).parts
+
+
+def _renamed(text: str, names: Mapping[str, str]) -> str:
+    """SDL that includes files under other names."""
+    pieces, place = [], 0
+    for directive, name in itertools.pairwise(tokens(text) if names else ()):
+        if directive.kind == "directive" and directive.text == "#include" and name.text[1:-1] in names:
+            pieces += [text[place : name.start], f'"{names[name.text[1:-1]]}"']
+            place = name.end
+    return "".join((*pieces, text[place:]))
 
 
 def _included(text: str, libraries: Sequence[Path]) -> Iterator[str]:

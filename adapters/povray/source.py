@@ -9,11 +9,11 @@ from pathlib import Path
 
 from . import program
 
-__all__ = ["IMAGE", "Source", "of_file"]
+__all__ = ["Source", "image", "of_file"]
 
-IMAGE = "image.exr"
+_IMAGE = "image.exr"
 # EXR, no anti-aliasing, and neither the debug nor the render messages. Warnings stay: without them errors go, too.
-_FLAGS = ("+FE", f"+O{IMAGE}", "-A", "-GD", "-GR", "-GS")
+_FLAGS = ("+FE", f"+O{_IMAGE}", "-A", "-GD", "-GR", "-GS")
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Source:
     def start(
         self, folder: Path, arguments: Sequence[str] = (), more: str = "", root: Path | None = None
     ) -> program.Process:
-        """POV-Ray in `folder`, for the text and then `more`; by default it writes the image IMAGE."""
+        """POV-Ray in `folder`, for the text and then `more`; by default it writes the `image`."""
         for name, place in self.files:
             (folder / name).symlink_to(place)
         arguments = (*_FLAGS, *self.switches, *arguments)
@@ -47,6 +47,11 @@ class Source:
         result = self.start(folder, arguments, more).wait(self.timeout)
         result.check(str(self.file))
         return result
+
+
+def image(folder: Path) -> Path:
+    """The image that POV-Ray makes in `folder`; it adds a frame's number to its name."""
+    return next(folder.glob("image*.exr"), folder / _IMAGE)
 
 
 def of_file(

@@ -12,7 +12,6 @@ import contextlib
 import itertools
 import os
 import shutil
-import tempfile
 import time
 import weakref
 from collections.abc import Callable
@@ -22,7 +21,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import images
-from .source import IMAGE, Source
+from .program import LastingFolder
+from .source import Source, image
 
 __all__ = ["Pool"]
 
@@ -57,11 +57,11 @@ class Pool:
     def __init__(self, source: Source, processes: int) -> None:
         self.source, self.processes = source, processes
         self.seconds = {"rays": 0.0, "povray": 0.0, "cpu": 0.0}
-        self._root = Path(tempfile.mkdtemp(prefix="pmc-povray-"))
+        self._root = LastingFolder()
         self._workers: list[_Worker] = []  # all that are alive
         self._waiting: list[_Worker] = []
         self._number = itertools.count()
-        self._close = weakref.finalize(self, _end, self._workers, self._root, os.getpid())
+        self._close = weakref.finalize(self, _end, self._workers, self._root.close, os.getpid())
 
     def trace(self, count: int, rays: Callable[[int, int], str]) -> NDArray[np.float32]:
         """The radiance along `count` rays, shape (count, 3), float32, linear RGB; may be infinite.
@@ -125,9 +125,9 @@ class Pool:
         return self._start(size)
 
     def _start(self, size: int) -> _Worker:
-        folder = self._root / str(next(self._number))
+        folder = self._root.path / str(next(self._number))
         folder.mkdir()
-        worker = _Worker(self.source, folder, self._root, size)
+        worker = _Worker(self.source, folder, self._root.path, size)
         self._workers.append(worker)
         return worker
 
@@ -163,7 +163,7 @@ class _Worker:
     def done(self) -> bool:
         """Whether the image is there. Raises as `Pool.trace` does."""
         ended = self.ended  # asked first: the image is looked at after it
-        if images.whole(self._folder / IMAGE):
+        if images.whole(image(self._folder)):
             return True
         if ended:
             result = self._process.wait()
@@ -180,7 +180,7 @@ class _Worker:
 
     def radiance(self) -> NDArray[np.float32]:
         """The values of the rays, shape (count, 3)."""
-        pixels = images.read(self._folder / IMAGE)
+        pixels = images.read(image(self._folder))
         if pixels.shape != (1, self.size, 3):
             raise RuntimeError(
                 f"POV-Ray left an image of {pixels.shape[1]}x{pixels.shape[0]} pixels in place of {self.size}x1"
@@ -197,7 +197,7 @@ class _Worker:
         return cpu
 
 
-def _end(workers: list[_Worker], root: Path, owner: int) -> None:
+def _end(workers: list[_Worker], remove: Callable[[], object], owner: int) -> None:
     """Leaves nothing behind. A forked child, which has this object but not the processes, keeps off."""
     if os.getpid() != owner:
         return
@@ -205,4 +205,4 @@ def _end(workers: list[_Worker], root: Path, owner: int) -> None:
         with contextlib.suppress(OSError):
             worker.close()
     workers.clear()
-    shutil.rmtree(root, ignore_errors=True)
+    remove()

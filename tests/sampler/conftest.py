@@ -143,8 +143,8 @@ def peak(size: int, sigma: float) -> np.ndarray:
 def corrected(
     plain: np.ndarray, pool: np.ndarray, pool_samples: np.ndarray, size: np.ndarray, config: Config, signed: bool
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`Film.mean` of (height, width, 3) means, and the size of the terms that it is summed from; of `size` are those that
-    both means of a pixel are.
+    """`Film.mean` of (height, width, 3) means, and the size of the terms that it is summed from; `size` is that of the
+    terms of both means of a pixel.
     """
     if config.correction == 0.0 or config.pool_share == 1.0 or config.estimator == "unbiased":
         return plain, size

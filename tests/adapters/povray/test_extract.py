@@ -152,6 +152,26 @@ def test_included_cameras(source_of: Any, extract: Any, tmp_path: Path) -> None:
     assert sorted(path.name for path in folder.rglob("*")) == ["first.inc", "scène.pov", "second.inc", "sub"]
 
 
+def test_cameras_included_from_outside(source_of: Any, extract: Any, tmp_path: Path) -> None:
+    """By a path upwards, from another file there, and by an absolute one; one that has no camera stays where it is."""
+    source = source_of("")
+    above = source.file.parent.parent
+    (above / "a.b.inc").write_text('#declare There = 4; #include "../plain.inc"\ncamera { location There }')
+    (above / "plain.inc").write_text("#declare There = There + Here;")
+    (above / "cam.inc").write_text('#include "../a.b"\n#declare Not = "../a.b";')
+    for more in ('#include "../a.b.inc"', '#include "../a.b"', f'#include "{above}/a.b.inc"', '#include "../cam.inc"'):
+        camera = extract(dataclasses.replace(source, text="#declare Here = 1;\n" + more), W, H)
+        np.testing.assert_array_equal(camera.location, 5)
+    folder = tmp_path / "changes"
+    folder.mkdir()
+    from pmc_sampler.adapters.povray.sdl import changed
+
+    text = '#include "../plain.inc" "../plain.inc"'
+    same = changed(dataclasses.replace(source, text=text), lambda text: text, folder)
+    assert same.text == text
+    assert same.files == ()
+
+
 ERRORS = {
     "sphere { 0, 1 }": "has no camera that could be found; add one",
     "camera { normal { bumps 1 } }": "has a normal, which only POV-Ray itself can follow",

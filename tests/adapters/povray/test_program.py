@@ -134,6 +134,22 @@ def test_it_ends_with_us(running: Callable[[], list[str]], clean: None, ending: 
     ours.stdout.close()
 
 
+def test_a_lasting_folder_ends_with_us(clean: None, temporary: Path) -> None:
+    """Even if we are killed between two runs of POV-Ray; and by itself."""
+    text = """
+        import os, signal
+        from pmc_sampler.adapters.povray.program import LastingFolder
+        gone, lasting = LastingFolder(), LastingFolder()
+        (lasting.path / "left").write_text("x")
+        del gone
+        print(len(os.listdir(lasting.path.parent)), flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+    """
+    ours = subprocess.run([sys.executable, "-c", textwrap.dedent(text)], capture_output=True, timeout=60, check=False)
+    assert ours.stdout == b"1\n"
+    assert ours.returncode == -signal.SIGKILL
+
+
 def test_no_program_and_an_old_one(program: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert program.version().startswith("3.")
     monkeypatch.setenv("PATH", str(tmp_path))

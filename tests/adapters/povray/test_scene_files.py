@@ -41,6 +41,57 @@ def test_options_reach_the_scene(povray: Any, make: Any, tmp_path: Path, plain_t
         renderer.close()
 
 
+# Brightness says the frame and the clock.
+FRAMES = """#version 3.7; global_settings { assumed_gamma 1.0 }
+camera { orthographic location <0,0,-1> right <2,0,0> up <0,2,0> direction <0,0,1> }
+box { <-9,-9,0>, <9,9,1> pigment { rgb <frame_number, final_frame, 8 * clock> / 16 }
+  finish { ambient 0 diffuse 0 emission 1 } }
+"""
+
+
+@pytest.mark.parametrize(
+    ("lines", "options", "expected"),
+    [
+        ("Final_Frame=9", ["+SF3"], (3, 9, 2)),
+        ("Initial_Frame=2\nFinal_Frame=6\nFinal_Clock=2", ["Subset_Start_Frame=5"], (5, 6, 12)),
+        ("Final_Frame=8\nCyclic_Animation=on", ["+SF5"], (5, 9, 4)),
+        ("Final_Frame=8\nCyclic_Animation=off\nSubset_Start_Frame=2\nSubset_End_Frame=4", ["+SF8"], (8, 8, 8)),
+        ("", ["+KFI0", "+KFF8", "+KI0.5", "+KF1.5", "+SF8"], (8, 8, 12)),
+        ("Clock=0.25", [], (0, 0, 2)),
+    ],
+)
+def test_a_frame_of_an_animation(
+    povray: Any, tmp_path: Path, clean: None, centres: Any, lines: str, options: list[str], expected: tuple[int, ...]
+) -> None:
+    """Its number and its clock, also in the picture by POV-Ray alone."""
+    (tmp_path / "scene.pov").write_text(FRAMES)
+    (tmp_path / "scene.ini").write_text("Input_File_Name=scene.pov\n" + lines)
+    renderer = povray.PovRayRenderer(tmp_path / "scene.ini", size=(8, 6), options=options, processes=1)
+    try:
+        np.testing.assert_allclose(renderer(centres((8, 6)))[7], np.array(expected) / 16, rtol=2 * HALF)
+        np.testing.assert_allclose(renderer.native().mean[3, 3], np.array(expected) / 16, rtol=2 * HALF)
+    finally:
+        renderer.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "sentence"),
+    [
+        (["+KFF20"], r"animation of frames 1 to 20, and one is rendered at a time: choose it by Subset_Start_Frame=1"),
+        (["+KFF20", "+SF3", "+EF5"], r"one is rendered at a time"),
+        (["+SF3"], r"frame 3 of no animation: give its last frame, too \(Final_Frame=N or \+KFFN\)"),
+        (["+KFI2", "+KFF20", "+SF21"], r"frame 21 is not one of the animation's, 2 to 20"),
+        (["+KFF20", "+SF0.5"], r"'\+SF0.5' is no option of POV-Ray that can be given here"),
+    ],
+)
+def test_animations_of_no_single_frame(
+    povray: Any, tmp_path: Path, clean: None, options: list[str], sentence: str
+) -> None:
+    (tmp_path / "scene.pov").write_text(FRAMES)
+    with pytest.raises(ValueError, match=sentence):
+        povray.PovRayRenderer(tmp_path / "scene.pov", options=options)
+
+
 def test_photons_are_shot_once(make: Any, own_image: Any, centres: Any, tmp_path: Path) -> None:
     """Those that are loaded give the image that those that are shot give; they are found in an included file, too."""
     settings = "global_settings { assumed_gamma 1.0 /* photons { } */ photons { count 3000 } }\n"
@@ -60,11 +111,19 @@ plane { y, 0 pigment { rgb 0.8 } }
     assert make(rest)._pool.source.files == ()
 
 
-def test_radiosity_is_computed_once(make: Any, own_image: Any, plain_text: str, centres: Any) -> None:
-    """What is loaded gives POV-Ray's own image within 2 % of its mean; without radiosity it is another by far."""
+@pytest.mark.parametrize("frame", [(), ("+KFF12", "+SF2")])
+def test_radiosity_is_computed_once(
+    make: Any, own_image: Any, plain_text: str, centres: Any, tmp_path: Path, frame: tuple[str, ...]
+) -> None:
+    """What is loaded gives POV-Ray's own image within 2 % of its mean; without radiosity it is another by far.
+
+    Asked for in an included file, too, and in an animation.
+    """
     lit = plain_text.replace("assumed_gamma 1.0", "assumed_gamma 1.0 radiosity { count 60 error_bound 0.5 }")
     lit = lit.replace("<3, 4, -5> 1 }", "<3, 4, -5> 1 } sky_sphere { pigment { rgb 1 } }")
-    renderer = make(lit)
+    settings, rest = lit.partition("camera")[::2]
+    (tmp_path / "settings.inc").write_text(settings.replace("#version 3.7;", ""))
+    renderer = make('#version 3.7; #include "settings.inc"\ncamera' + rest if frame else lit, options=frame)
     assert "+RFI" in renderer._pool.source.switches
     values = renderer(centres()).reshape(SIZE[1], SIZE[0], 3)
     own = own_image(lit, SIZE)
