@@ -13,7 +13,7 @@ from . import images
 from .camera import Camera
 from .numbers import lens
 from .prepare import sized
-from .program import private_folder
+from .program import Process, private_folder
 from .ray_mesh import mesh_camera
 from .source import Source, image
 
@@ -69,8 +69,7 @@ def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
         own = source.start(folders[1], (f"+W{width}", f"+H{height}"))
         stack.callback(own.kill)
         ours = _Rays(scene, camera, width, height, 1).image(folders[2])  # while the other runs
-        own.wait(source.timeout).check(str(source.file))
-        theirs = images.finished(image(folders[1]), source.file, width, height)
+        theirs = _image(own, folders[1], source, width, height)
         same, apart = _same(theirs, ours), _apart(theirs, ours)
         if not camera.has_lens and same >= _SHARE and apart <= _SAME:
             return Agreement(same, apart)
@@ -108,10 +107,16 @@ class _Rays:
         """Their radiance, averaged in each pixel."""
         out = np.zeros((self._size[0] * self._size[1], 3), np.float32)
         if len(self._pixel):
-            self._source.run(folder, (f"+W{len(self._pixel)}", "+H1"), self._text)
-            np.add.at(out, self._pixel, images.finished(image(folder), self._source.file, len(self._pixel), 1)[0])
+            process = self._source.start(folder, (f"+W{len(self._pixel)}", "+H1"), self._text)
+            np.add.at(out, self._pixel, _image(process, folder, self._source, len(self._pixel), 1)[0])
         out /= np.float32(self._rays)
         return out.reshape(self._size)
+
+
+def _image(process: Process, folder: Path, source: Source, width: int, height: int) -> Image:
+    """What POV-Ray renders in `folder`, as soon as it is there."""
+    process.wait(source.timeout, lambda: images.whole(image(folder))).check(str(source.file))
+    return images.finished(image(folder), source.file, width, height)
 
 
 def _same(a: Image, b: Image) -> float:

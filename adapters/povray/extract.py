@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
+import contextlib
+from collections.abc import Callable, Iterator
 
 from .camera import Camera
 from .camera_log import LOG, with_log
@@ -11,29 +12,33 @@ from .program import Result, private_folder, read_text
 from .sdl import changed
 from .source import Source
 
-__all__ = ["extract"]
+__all__ = ["extracting"]
 
 _END = "done\n"
 # At the end of the scene, of which nothing is rendered.
 _STOP = f'\n#version 3.7; #fopen pmc_file "{LOG}" append #write(pmc_file,"done\\n") #fclose pmc_file #error "done"\n'
 
 
-def extract(source: Source, width: int, height: int) -> Camera:
-    """The camera that an image of `width` by `height` pixels of the scene has.
+@contextlib.contextmanager
+def extracting(source: Source, width: int, height: int) -> Iterator[Callable[[], Camera]]:
+    """POV-Ray under way to find the camera that an image of `width` by `height` pixels of the scene has.
 
-    POV-Ray reads a copy of the scene and of the files that it includes, in which the camera statements write down
-    what they say; it renders nothing.
+    It reads a copy of the scene and of the files that it includes, in which the camera statements write down what they
+    say; it renders nothing. The function that is given waits for it and returns the camera.
 
-    Raises ValueError for a scene that does not parse, with POV-Ray's message; for one with no camera, with a camera of
-    a kind that only POV-Ray itself can use or with one that cannot be followed: then the user has to give it.
+    It raises ValueError for a scene that does not parse, with POV-Ray's message; for one with no camera, with a camera
+    of a kind that only POV-Ray itself can use or with one that cannot be followed: then the user has to give it.
     TimeoutError for one that takes too long.
     """
-    with private_folder() as place:
-        logged = changed(source, with_log, place)
-        result, log = _read(dataclasses.replace(logged, text=logged.text + _STOP), width, height)
+    with private_folder() as place, _reading(changed(source, with_log, place), width, height) as read:
+        yield lambda: _camera(source, width, height, *read())
+
+
+def _camera(source: Source, width: int, height: int, result: Result, log: str) -> Camera:
     if not log.endswith(_END):
         # The fault may lie in our changes: the scene as it is tells.
-        plain, end = _read(dataclasses.replace(source, text=source.text + _STOP), width, height)
+        with _reading(source, width, height) as read:
+            plain, end = read()
         if end.endswith(_END):
             raise ValueError(
                 f"the camera of {source.file} is written in a way that cannot be followed "
@@ -44,9 +49,17 @@ def extract(source: Source, width: int, height: int) -> Camera:
     return camera_of(log, str(source.file))
 
 
-def _read(source: Source, width: int, height: int) -> tuple[Result, str]:
-    """How POV-Ray ends that reads the scene for an image of that size, and what the scene has written down."""
-    with private_folder() as folder:
-        result = source.start(folder, (f"+W{width}", f"+H{height}"), root=folder).wait(source.timeout)
-        log = folder / LOG
-        return result, read_text(log) if log.is_file() else ""
+@contextlib.contextmanager
+def _reading(source: Source, width: int, height: int) -> Iterator[Callable[[], tuple[Result, str]]]:
+    """POV-Ray that reads the scene for an image of that size; how it ends, and what the scene has written down."""
+    with private_folder() as folder, contextlib.ExitStack() as stack:
+
+        def log() -> str:
+            return read_text(folder / LOG) if (folder / LOG).is_file() else ""
+
+        def read() -> tuple[Result, str]:
+            return process.wait(source.timeout, lambda: log().endswith(_END)), log()
+
+        process = source.start(folder, (f"+W{width}", f"+H{height}"), _STOP, folder)
+        stack.callback(process.kill)
+        yield read

@@ -5,10 +5,11 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from .images import whole
 from .program import private_folder
 from .scene_text import has_radiosity, with_photons
 from .sdl import changed, texts, with_size
-from .source import Source
+from .source import Source, image
 
 __all__ = ["sized", "with_photons_saved", "with_radiosity_saved"]
 
@@ -27,7 +28,8 @@ def with_photons_saved(source: Source, folder: Path) -> Source:
         saving = changed(source, lambda text: with_photons(text, f'save_file "{_PHOTONS}"'), includes)
         if saving == source:
             return source
-        saving.run(place, ("+W1", "+H1"))
+        rendering = saving.start(place, ("+W1", "+H1"))  # which begins once they are saved
+        rendering.wait(source.timeout, lambda: whole(image(place))).check(str(source.file))
         if not _kept(place / _PHOTONS, folder / _PHOTONS):
             return source
     includes = folder / "photons"

@@ -12,7 +12,7 @@ import subprocess
 import tempfile
 import time
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -164,14 +164,15 @@ class Process:
         """Whether it is no longer running; `wait` then returns at once."""
         return os.waitid(os.P_PID, self._process.pid, os.WEXITED | os.WNOHANG | os.WNOWAIT) is not None
 
-    def wait(self, timeout: float = TIMEOUT) -> Result:
-        """Waits for its end.
+    def wait(self, timeout: float = TIMEOUT, enough: Callable[[], bool] = lambda: False) -> Result:
+        """Waits for its end, or ends it once there is `enough`, which counts as success.
 
-        Raises TimeoutError after `timeout` seconds since now; POV-Ray is ended then, as by any other exception here.
+        POV-Ray has made what it makes a third of a second before it ends by itself. Raises TimeoutError after `timeout`
+        seconds since now; POV-Ray is ended then, as by any other exception here.
         """
-        until, pause = time.perf_counter() + timeout, 0.001
+        until, pause, made = time.perf_counter() + timeout, 0.001, False
         try:
-            while not self.ended:
+            while not self.ended and not (made := enough()):
                 if time.perf_counter() > until:
                     raise TimeoutError(
                         f"POV-Ray did not finish within {timeout:g} seconds and was ended; a scene that needs longer "
@@ -182,7 +183,8 @@ class Process:
         finally:
             self.kill()
         seconds = time.perf_counter() - self._began
-        return Result(self._process.returncode, self._messages(), seconds, self._cpu, self.names)
+        status = 0 if made else self._process.returncode
+        return Result(status, self._messages(), seconds, self._cpu, self.names)
 
     def kill(self) -> float:
         """Ends it, if it has not ended; nothing of it is left running. Returns its processor time in seconds."""

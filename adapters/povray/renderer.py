@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import threading
 from collections.abc import Mapping, Sequence
@@ -15,7 +16,7 @@ from ..inputs import check_positive, check_size, check_whole
 from . import check as checks
 from . import images, native, numbers, options, program, source
 from .camera import Camera
-from .extract import extract
+from .extract import extracting
 from .prepare import sized, with_photons_saved, with_radiosity_saved
 from .ray_mesh import mesh_camera
 from .worker import Pool
@@ -122,17 +123,19 @@ class PovRayRenderer:
         self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
         check_size((self.width, self.height))
         self._source = source.of_file(file, given.libraries, given.switches, timeout, sandbox)
-        made = with_photons_saved(self._source, folder)
-        made = with_radiosity_saved(made, self.width, self.height, folder)
+        wanted = [(self.width, self.height)] if camera is None else []
+        wanted += [checks.small(self.width, self.height)] if camera is None and check else []
+        with contextlib.ExitStack() as stack:
+            found = [stack.enter_context(extracting(self._source, *size)) for size in wanted]
+            made = with_photons_saved(self._source, folder)  # meanwhile
+            made = with_radiosity_saved(made, self.width, self.height, folder)
+            cameras = [camera_of() for camera_of in found]
         self.scene = file
         self._own_camera = camera is None
+        self.camera = cameras[0] if camera is None else _camera(camera)
         self.agreement: checks.Agreement | None = None
-        if camera is not None:
-            self.camera = _camera(camera)
-        else:
-            self.camera = extract(made, self.width, self.height)
-            if check:
-                self.agreement = _checked(made, self.camera, self.width, self.height)
+        if len(cameras) == 2:
+            self.agreement = checks.check(made, cameras[1], *wanted[1])
         self.clamped = 0
         self._pool = Pool(sized(made, self.width, self.height, folder), processes or program.processors())
 
@@ -253,12 +256,6 @@ class PovRayRenderer:
         self._filter = dict(made.filter)
         file = export(made, self._made.path / "exported", radiosity=radiosity, photons=photons)
         return file, options.read(given), (made.camera.width, made.camera.height)
-
-
-def _checked(made: source.Source, camera: Camera, width: int, height: int) -> checks.Agreement:
-    """Whether a small image by the camera that was found is the scene's own."""
-    small = checks.small(width, height)
-    return checks.check(made, camera if small == (width, height) else extract(made, *small), *small)
 
 
 def _camera(given: Camera | Mapping[str, Any]) -> Camera:

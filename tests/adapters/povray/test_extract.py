@@ -78,7 +78,11 @@ def source_of(povray: Any, tmp_path_factory: pytest.TempPathFactory) -> Callable
 
 @pytest.fixture(scope="module")
 def extract(povray: Any) -> Any:
-    from pmc_sampler.adapters.povray.extract import extract
+    from pmc_sampler.adapters.povray.extract import extracting
+
+    def extract(source: Any, width: int, height: int) -> Any:
+        with extracting(source, width, height) as camera:
+            return camera()
 
     return extract
 
