@@ -189,9 +189,13 @@ def measure(job: Job, todo: tuple[str, Run]) -> Outcome:
 
 def _measured(job: Job, run_id: str, one: Run) -> Outcome:
     identity = key(_settings(job.scene, job.versions))
-    radiance = _radiance(identity, job.renderers, job.scene, job.recording, one.method.numbers)
+    radiance, setup = _radiance(identity, job.renderers, job.scene, job.recording, one.method.numbers)
     started = _now()
-    made = _native(one, radiance) if one.method.native else _sampled(_sampler(job.suite, one, radiance), radiance)
+    if one.method.native:
+        made = _native(one, radiance)
+    else:
+        spent = setup if job.suite.counts_setup(job.scene) else 0.0
+        made = _sampled(_sampler(job.suite, one, radiance, spent), radiance, spent)
     white, reference = job.suite.white_luminance, job.reference
     limit = measures.neyman(radiance, reference, white, made.spp)
     noise = measures.reference_noise(reference, white)
@@ -239,12 +243,15 @@ def _native(one: Run, radiance: Any) -> _Made:
         raise ValueError(f"the renderer {one.scene.renderer!r} has no sampling of its own")
     made = radiance.native(**settings)
     return _Made(
-        made.mean, made.samples, {"total": made.seconds, "renderer": made.seconds, "sampler": 0.0}, one.budget.kind
+        made.mean,
+        made.samples,
+        {"setup": 0.0, "total": made.seconds, "renderer": made.seconds, "sampler": 0.0},
+        one.budget.kind,
     )
 
 
-def _sampled(sampler: Any, radiance: Any) -> _Made:
-    """The image by a sampler, which samples until its budget is met.
+def _sampled(sampler: Any, radiance: Any, setup: float) -> _Made:
+    """The image by a sampler, which samples until its budget is met; ``setup`` are seconds to count beside its own.
 
     The image's making counts as the sampler's: it is where PMC corrects its energy.
     """
@@ -262,7 +269,12 @@ def _sampled(sampler: Any, radiance: Any) -> _Made:
     start = time.perf_counter()
     image = sampler.film.mean
     ended = time.perf_counter()
-    seconds = {"total": ended - began, "renderer": in_renderer, "sampler": in_sampler + ended - start}
+    seconds = {
+        "setup": setup,
+        "total": setup + ended - began,
+        "renderer": in_renderer,
+        "sampler": in_sampler + ended - start,
+    }
     return _Made(image, int(sampler.samples), seconds, str(sampler.done), int(sampler.rejected), _layers(sampler.film))
 
 
@@ -279,11 +291,13 @@ def _layers(film: Any) -> dict[str, NDArray[Any]]:
     return layers
 
 
-def _sampler(suite: Suite, one: Run, radiance: Any) -> Any:
+def _sampler(suite: Suite, one: Run, radiance: Any, spent: float = 0.0) -> Any:
+    """The sampler of a run; ``spent`` of the seconds of its budget are gone, though for one batch there is time."""
+    value = one.budget.value if one.budget.kind == "spp" else max(one.budget.value - spent, 1e-9)
     settings = one.method.settings_on(one.scene.name)
     if settings["sampler"] in WEIGHING:
         settings = {"white_luminance": suite.white_luminance, **settings}
-    return baselines.make(settings, radiance, Budget(**{one.budget.kind: one.budget.value}), one.seed)
+    return baselines.make(settings, radiance, Budget(**{one.budget.kind: value}), one.seed)
 
 
 def _prepare(
@@ -349,14 +363,21 @@ def _load(scene: Scene, renderers: Renderers, numbers: str) -> Any:
 
 
 @lru_cache(maxsize=2)  # a scene's with Sobol points and with independent numbers
-def _radiance(identity: str, renderers: Renderers, scene: Scene, recording: str | None, numbers: str) -> Any:
-    """The renderer of a scene, warm; kept for the runs to come, as long as ``identity`` is the same."""
+def _radiance(
+    identity: str, renderers: Renderers, scene: Scene, recording: str | None, numbers: str
+) -> tuple[Any, float]:
+    """The renderer of a scene, warm, and the seconds of its set-up.
+
+    Kept for the runs to come, as long as ``identity`` is the same.
+    """
     if recording is not None:
-        return Recording(recording, sampler=numbers)
+        return Recording(recording, sampler=numbers), 0.0
+    began = time.perf_counter()
     radiance = _load(scene, renderers, numbers)
+    setup = time.perf_counter() - began
     uniform = config_for(radiance, {"preset": "uniform"})
     render(radiance, radiance.width, radiance.height, Budget(spp=1), uniform, seed=WARM_UP_SEED)
-    return radiance
+    return radiance, setup
 
 
 def _found(folder: results.Folder, run_id: str, log: Log) -> results.Row | None:

@@ -138,6 +138,12 @@ class Suite:
                 if method.native:
                     yield Run(scene, method, OWN, seed)
 
+    def counts_setup(self, scene: Scene) -> bool:
+        """Whether a renderer's set-up is part of the seconds: where they are compared with those of its own way to
+        choose samples, which begins from nothing each time.
+        """
+        return any(run.method.native for run in self.runs(scene))
+
     def budgets(self, scene: Scene) -> tuple[Budget, ...]:
         """The budgets of the runs on a scene."""
         return tuple(dict.fromkeys(run.budget for run in self.runs(scene)))

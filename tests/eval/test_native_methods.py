@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -65,6 +66,28 @@ def test_native_methods_run_once_a_seed(renderers: Any, tmp_path: Path, noisy: t
     before = sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.parquet"))
     benchmark.run(made, results.Folder(tmp_path), renderers, cache=tmp_path / "cache")
     assert sorted((path, path.stat().st_mtime_ns) for path in tmp_path.rglob("*.parquet")) == before
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_set_up_counts_where_it_does_in_the_native_method(renderers: Any, tmp_path: Path, native: bool) -> None:
+    """A set-up that is longer than the budget leaves time for one batch; where no native method runs it is free."""
+
+    def load(*names: str, **options: Any) -> Any:
+        time.sleep(0.3)
+        return renderers.load(*names, **options)
+
+    given = {**GIVEN, "spp": [], "seconds": [0.25], "seeds": 1}
+    if not native:
+        given["method"] = given["method"][:1]
+    slow = benchmark.Renderers(load, renderers.version)
+    benchmark.run(suite.parse(given), results.Folder(tmp_path), slow, cache=tmp_path / "cache")
+    (row,) = results.load(tmp_path).select("diffuse", "PT", "0.25s")
+    if native:
+        assert row["seconds.total"] >= row["seconds.setup"] >= 0.3
+        assert row["samples"] == 4096, "one batch"
+    else:
+        assert row["seconds.setup"] == 0.0
+        assert row["samples"] > 4096
 
 
 def test_the_page_compares_in_no_more_time(renderers: Any, tmp_path: Path) -> None:
