@@ -210,7 +210,12 @@ def _bench(p: argparse.ArgumentParser) -> None:
 
 def renderer_for(scene: str) -> str:
     """The renderer that is meant where none is named."""
-    return RENDERERS.get(Path(scene).suffix.lower(), DEFAULT_RENDERER)
+    return RENDERERS.get(scene_path(scene).suffix.lower(), DEFAULT_RENDERER)
+
+
+def scene_path(scene: str) -> Path:
+    """The file of a scene that is one: without the section of an INI file, as in ``scene.ini[final]``."""
+    return Path(re.sub(r"(?i)(\.ini)\[[^\[\]]*\]$", r"\1", scene))
 
 
 def size(text: str) -> tuple[int, int]:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from pmc_sampler import Sampler, __version__
 
+from .arguments import scene_path
 from .errors import CommandError
 from .optional import load
 
@@ -27,7 +28,9 @@ class Output:
         self._images: ModuleType = load("pmc_sampler.eval.images", "writing images", "eval")
         self._options = options
         # The default's folder is where the user is, not where the scene is.
-        given = options.output or Path(re.sub(r"\.(xml|gltf|glb|pov|ini)$", "", Path(options.scene).name) + ".exr")
+        given = options.output or Path(
+            re.sub(r"\.(xml|gltf|glb|pov|ini)$", "", scene_path(options.scene).name) + ".exr"
+        )
         try:
             self._images.require()
             self.exr: Path = self._images.check_writable(given)

@@ -8,7 +8,6 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, field
-from pathlib import Path
 from types import FrameType
 from typing import Any
 
@@ -17,7 +16,7 @@ from pmc_sampler.deadline import Deadline
 from pmc_sampler.sampler import sampler_for
 
 from . import settings
-from .arguments import NATIVE, renderer_for
+from .arguments import NATIVE, renderer_for, scene_path
 from .checkpoint import Checkpoint
 from .errors import CommandError
 from .native import native
@@ -146,7 +145,8 @@ def _job(options: argparse.Namespace, output: Output, resources: ExitStack) -> J
 
 
 def _contents(scene: str) -> str:
-    return str(importlib.import_module("pmc_sampler.scenes").digest(scene)) if Path(scene).is_file() else ""
+    file = scene_path(scene)
+    return str(importlib.import_module("pmc_sampler.scenes").digest(file)) if file.is_file() else ""
 
 
 def _run(job: Job, shown: Report) -> bool:

@@ -2,10 +2,11 @@
 
 import argparse
 import importlib
+import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from .arguments import scene_path
 from .errors import CommandError
 
 
@@ -24,7 +25,7 @@ def load_renderer(options: argparse.Namespace, settings: Mapping[str, Any]) -> A
         load, scene = importlib.import_module("pmc_sampler.adapters").load, options.scene
         if options.scheduler is None:
             return load(options.renderer, scene, **chosen)
-        scene = str(Path(scene).resolve()) if Path(scene).is_file() else scene
+        scene = os.path.abspath(scene) if scene_path(scene).is_file() else scene
         cluster = importlib.import_module("pmc_sampler.adapters.cluster")
         return cluster.ClusterRenderer(options.scheduler, load, options.renderer, scene, **chosen)
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:

@@ -57,6 +57,15 @@ def test_options_of_povray_and_of_the_renderer(run: Any, image: Any) -> None:
     }
 
 
+def test_a_section_of_an_ini_file(run: Any, image: Any) -> None:
+    Path("flat.ini").write_text("Input_File_Name=flat.pov\nWidth=4\nHeight=3\n[dim]\nDeclare=SHADE=0.25\n[Other]\n")
+    status, _, err = run("render flat.ini[dim] --spp 1 --seed 3")
+    assert status == 0, err
+    np.testing.assert_array_equal(image().rgb, 0.25)
+    assert sorted(path.name for path in Path().iterdir()) == ["flat.exr", "flat.ini", "flat.png", "flat.pov"]
+    assert run("render flat.ini[bright] --spp 1")[0] == 2
+
+
 def test_a_camera_given_by_hand(run: Any, image: Any) -> None:
     Path("none.pov").write_text(SCENE.replace("camera {", "#if (0) camera {").replace("1> }", "1> } #end", 1))
     camera = "{location=[0,0,-1],right=[2,0,0],up=[0,2,0],direction=[0,0,1]}"
