@@ -5,13 +5,15 @@
 Each scene that has a camera is loaded as any user's would be: its camera is found, and its image of 64 pixels width
 through that camera is compared with POV-Ray's own. It "agrees" if 97 % of the pixels are the same within 1 %; "differs
 by its noise" if the two images are at most three times as far apart as two of ours with other random numbers are; else
-it "fails", with the sentence that a user gets. Rows are kept in povray_examples.jsonl: an interrupted run goes on.
+it "fails", with the sentence that a user gets. Of an animation, which has an INI file of its name, it is the first
+frame. Rows are kept in povray_examples.jsonl: an interrupted run goes on.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+import re
 import sys
 import time
 from collections import Counter
@@ -64,7 +66,7 @@ def examine(scene: Path, folder: Path, timeout: float) -> dict[str, Any]:
     began = time.perf_counter()
     row: dict[str, Any] = {"scene": str(scene.relative_to(folder))}
     try:
-        renderer = PovRayRenderer(scene, size=SIZE, timeout=timeout)
+        renderer = PovRayRenderer(scene, size=SIZE, timeout=timeout, options=frame(scene))
     except (ValueError, OSError, RuntimeError) as error:
         row |= {"outcome": FAILS, "camera": None, "sentence": " ".join(str(error).split()).replace(str(folder), "")}
     else:
@@ -79,6 +81,16 @@ def examine(scene: Path, folder: Path, timeout: float) -> dict[str, Any]:
         }
         renderer.close()
     return row | {"seconds": round(time.perf_counter() - began, 1)}
+
+
+def frame(scene: Path) -> list[str]:
+    """The options for the first frame, where the scene is an animation."""
+    ini = scene.with_suffix(".ini")
+    text = ini.read_text(encoding="utf-8", errors="replace") if ini.is_file() else ""
+    if not re.search(r"^\s*(Final_Frame|[+-]KFF)", text, re.IGNORECASE | re.MULTILINE):
+        return []
+    first = re.search(r"^\s*Initial_Frame\s*=\s*(\d+)", text, re.IGNORECASE | re.MULTILINE)
+    return [str(ini), f"+SF{first[1] if first else 1}"]
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> str:
