@@ -1,6 +1,7 @@
 """What the adaptive sampling of Blender's Cycles and of LuxCore gains over their own uniform one, beside PMC's gain.
 
-    python benchmarks/peers.py [--peers cycles luxcore] [--python PYTHON] [--spp 64] [--seeds 5] -o benchmarks/
+    python benchmarks/peers.py [--peers cycles luxcore] [--python PYTHON] [--spp 64] [--seeds 5] [--own-seeds 100]
+        -o benchmarks/
 
 Cycles needs the package bpy, LuxCore pyluxcore, in this Python or in that of --python:
 `python3.11 -m venv peers && peers/bin/pip install bpy pyluxcore`. All render the same scene; each is measured against
@@ -52,6 +53,7 @@ ADAPTIVE: dict[str, tuple[dict[str, Any], ...]] = {
     ),
     OURS: ({"sampler": "PMC"},),
 }
+_FINER = 16  # of our reference: the bias of PMC is so small that the error of a peer's would hide it
 COLUMNS = ("renderer", "sampling", "spp", "MSE", "MSE factor", "tvi error", "tvi factor", "bias %")
 COLUMNS += ("reference's error %", "seconds")
 Rendered = Callable[[int, int, Mapping[str, Any]], Picture]  # samples a pixel, seed, settings
@@ -73,7 +75,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     keys = {reference.key for reference in found.values()}
     rows = [row for row in log.rows if "seed" in row and row["reference"] in keys and row["budget"] == options.spp]
-    rows = [row for row in rows if row["seed"] <= options.seeds]
+    rows = [row for row in rows if row["seed"] <= _seeds(options, row["renderer"])]
     text = page(options, rows, list(found))
     (options.output / "peers.md").write_text(text, encoding="utf-8")
     figure(options.output / "peers.png", rows, found)
@@ -118,6 +120,7 @@ def _ours(options: argparse.Namespace) -> Rendered:
 def _study(name: str, release: str, rendered: Rendered, options: argparse.Namespace, log: Log) -> Reference:
     """Do what is missing of a renderer's runs; its reference."""
     width, height = options.size
+    spp = options.reference_spp * (_FINER if name == OURS else 1)
     own = references.identify(options.scene, name, release)
 
     def replicate(seed: int, each: int, state: Path, share: Callable[[float], None]) -> tuple[Any, int]:
@@ -127,16 +130,16 @@ def _study(name: str, release: str, rendered: Rendered, options: argparse.Namesp
         replicate,
         width,
         height,
-        options.reference_spp,
+        spp,
         own,
-        replicates=options.reference_spp // options.spp,
+        replicates=spp // options.spp,
         progress=lambda share: _say(f"{TITLES[name]}: reference, {share:.0%}"),
     )
     shared = {"renderer": name, "version": release, "scene": options.scene, "reference": reference.key}
     methods = [UNIFORM, *ADAPTIVE[name]]
     known = {**shared, "budget": options.spp}
     asked = [_asked(known, settings, rendered, log) for settings in methods]
-    for seed in range(1, options.seeds + 1):
+    for seed in range(1, _seeds(options, name) + 1):
         for settings, (samples, given) in zip(methods, asked, strict=True):
             _say(f"{TITLES[name]}: seed {seed}, {_settings(settings)}")
             log.once(
@@ -144,6 +147,10 @@ def _study(name: str, release: str, rendered: Rendered, options: argparse.Namesp
                 lambda: study.row(rendered(samples, seed, given), reference, WHITE_LUMINANCE),  # noqa: B023
             )
     return reference
+
+
+def _seeds(options: argparse.Namespace, name: str) -> int:
+    return int(options.own_seeds if name == OURS else options.seeds)
 
 
 def _asked(
@@ -167,7 +174,8 @@ def _asked(
 def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequence[str]) -> str:
     """The Markdown page."""
     command = (
-        f"python benchmarks/peers.py --peers {' '.join(options.peers)} --spp {options.spp} --seeds {options.seeds}"
+        f"python benchmarks/peers.py --peers {' '.join(options.peers)} --spp {options.spp} --seeds {options.seeds} "
+        f"--own-seeds {options.own_seeds}"
     )
     releases = sorted({row["version"] for row in rows if row["renderer"] != OURS})
     lines = [
@@ -176,13 +184,15 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
         f"`{command} -o benchmarks/`",
         "",
         f"`{options.scene}`, {options.size[0]}x{options.size[1]} pixels, {options.spp} samples a pixel, seeds 1 to "
-        f"{options.seeds}. {'; '.join(releases)}. {platform.system()}, Python {platform.python_version()}.",
+        f"{options.seeds}, of ours to {options.own_seeds}, for its bias is the smallest. {'; '.join(releases)}. "
+        f"{platform.system()}, Python {platform.python_version()}.",
         "",
         "Factors are the error of the renderer's own uniform sampling over that of its adaptive sampling, seed by",
         "seed: median and 95 % bootstrap interval. Samples per pixel are as the renderer counted them, and differ a",
         "little; errors count as falling in proportion to them. Each renderer is measured against a uniform reference",
-        f"of its own of {options.reference_spp} samples a pixel, of other seeds, whose noise is subtracted from the",
-        f"errors. MSE is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`, white is {WHITE_LUMINANCE:g} cd/m2.",
+        f"of its own of {options.reference_spp} samples a pixel ({_FINER} times as many for ours), of other seeds,",
+        "whose noise is subtracted from the errors. MSE is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`, white",
+        f"is {WHITE_LUMINANCE:g} cd/m2.",
         "Bias is of mean luminance, with its standard error over seeds; the reference's own is in the next column.",
         "Seconds are medians, on a machine that did other things too.",
         "",
@@ -292,6 +302,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--size", type=size, default=(96, 72), metavar="WxH")
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--own-seeds", type=int, default=100, help="of our tracer; default: %(default)s")
     parser.add_argument("--reference-spp", type=int, default=1024, help="a multiple of --spp")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     return parser.parse_args(arguments)

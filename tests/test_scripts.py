@@ -93,6 +93,7 @@ def test_the_benchmark_of_peers(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     main = script("benchmarks/peers.py").main
     words = ["-o", str(tmp_path / "out"), "--size", "32x24", "--spp", "4", "--seeds", "2", "--reference-spp", "16"]
+    words += ["--own-seeds", "2"]
     assert main([*words, "--peers"]) == 0
     page = (tmp_path / "out" / "peers.md").read_text()
     assert "| our OpenCL tracer | PMC | 4.0 |" in page
