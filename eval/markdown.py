@@ -1,7 +1,7 @@
 """A benchmark's results as a Markdown page: factors over the baseline, bias and time, over seeds."""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from . import statistics
 from .results import Results, Row
@@ -85,7 +85,24 @@ def _table(found: Results, scene: str, budget: str) -> str:
     title = f"### {budget.removesuffix('spp')} samples per pixel" if budget.endswith("spp") else f"### {budget[:-1]} s"
     if not lines:
         return f"{title}\n\nNo run has finished."
-    return f"{title}\n\n| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|\n" + "\n".join(lines)
+    table = f"{title}\n\n| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|\n" + "\n".join(lines)
+    return "\n\n".join((table, *_least(found, scene, budget, errors)))
+
+
+def _least(found: Results, scene: str, budget: str, errors: Mapping[str, str]) -> list[str]:
+    """A line on who has the least error and how much more the next has, seed by seed."""
+    parts = []
+    for name, title in errors.items():
+        of = {method.name: found.select(scene, method.name, budget) for method in found.suite.methods}
+        ranked = sorted((_median(rows, name), method) for method, rows in of.items() if rows)
+        if len(ranked) < 2:
+            continue
+        (_, best), (_, second) = ranked[:2]
+        more, least = found.pairs(scene, budget, second, best, name)
+        if least and all(least):
+            factor = _interval(statistics.ratio_interval(more, least))
+            parts.append(f"{title} *{best}*, and *{second}*, the next, {factor} times as much")
+    return [f"Least: {'; '.join(parts)}, seed by seed."] if parts else []
 
 
 def _native_table(found: Results, scene: str) -> str:

@@ -342,6 +342,8 @@ def test_the_page_has_factors_intervals_biases_and_slopes(tmp_path: Path) -> Non
     assert cells["bias %"] == "+0.200 ± 0.058"
     assert (cells["seconds"], cells["renderer"], cells["sampler"]) == ("2.00", "75.0 %", "5.0 %")
     assert "PMC -2.00 (-2.00 to -2.00)" in text
+    least = "MSE *PMC*, and *PT*, the next, 8.00 (8.00 to 8.00) times as much"
+    assert text.count(f"Least: {least}; {least.replace('MSE', 'tvi error')}, seed by seed.") == 2
     assert "2 runs are missing" in text
     assert "`pmc-sampler bench out/suite.toml -o out`" in text
     assert "12 samples were rejected" in text
