@@ -15,6 +15,8 @@ from .numbers import lens
 from .prepare import sized
 from .program import Process, private_folder
 from .ray_mesh import mesh_camera
+from .scene_text import has_radiosity
+from .sdl import texts
 from .source import Source, image
 
 __all__ = ["Agreement", "check", "small"]
@@ -26,6 +28,8 @@ _LENS = 16  # rays through the lens for each pixel
 _SAME = 0.01  # relative difference of values that count as the same
 _SHARE = 0.97  # of the pixels that are the same where there is no noise
 _NOISE = 3.0  # times as far apart as two images of ours, at most, where there is
+# Apart at most where radiosity is interpolated: between points that an image of each shape adds where it lacks them.
+_INTERPOLATED = 0.015
 
 
 def small(width: int, height: int) -> tuple[int, int]:
@@ -46,16 +50,20 @@ class Agreement:
     noise
         The same between two images of ours with other random numbers, and moved by less than can be seen; None if
         nearly all pixels are the same, and the others hardly differ.
+    radiosity
+        Whether the scene asks for radiosity.
     """
 
     same: float
     apart: float
     noise: float | None = None
+    radiosity: bool = False
 
     @property
     def good(self) -> bool:
         """Whether nearly all pixels are the same, or they are as close to each other as two images of ours."""
-        return self.noise is None or self.apart <= max(_NOISE * self.noise, _SAME if self.same >= _SHARE else 0.0)
+        limit = _SAME if self.same >= _SHARE else _INTERPOLATED if self.radiosity else 0.0
+        return self.noise is None or self.apart <= max(_NOISE * self.noise, limit)
 
 
 def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
@@ -74,7 +82,7 @@ def check(source: Source, camera: Camera, width: int, height: int) -> Agreement:
         if not camera.has_lens and same >= _SHARE and apart <= _SAME:
             return Agreement(same, apart)
         again = _Rays(scene, camera, width, height, 2, _SHIFT).image(folders[3])
-    agreement = Agreement(same, apart, _apart(ours, again))
+    agreement = Agreement(same, apart, _apart(ours, again), any(map(has_radiosity, texts(source))))
     if not agreement.good:
         raise ValueError(
             f"the camera found in {source.file} is not the one that POV-Ray uses: in images of {width}x{height} pixels "
