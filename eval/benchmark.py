@@ -25,6 +25,7 @@ from pmc_sampler import Budget, _core, render
 from pmc_sampler.sampler import config_for
 
 from . import baselines, measures, metrics, references, results
+from .clock import Clock
 from .executors import Executor, in_process
 from .metrics.encoded import SSIM_WINDOW
 from .recorded import Recording, record
@@ -101,7 +102,8 @@ def run(
         for scene in suite.scenes
     }
     folder.begin(suite, [run_id for runs in plan.values() for run_id, _ in runs])
-    clock = _Clock([run for runs in plan.values() for _, run in runs])
+    clock = Clock([run for runs in plan.values() for _, run in runs])
+    kept = Path(cache) if cache is not None else references.cache_folder()
     missing: dict[str, list[tuple[str, Run]]] = {}
     for scene in suite.scenes:
         missing[scene.name] = []
@@ -111,12 +113,14 @@ def run(
                 clock.ended(one, row)
             else:
                 missing[scene.name].append((run_id, one))
+        if missing[scene.name]:
+            clock.awaits(scene.name, _unprepared(scene, versions[scene.name], kept))
     for scene in suite.scenes:
         todo = missing[scene.name]
         if not todo:
             continue
         try:
-            job = _prepare(suite, scene, renderers, versions[scene.name], cache, progress, clock)
+            job = _prepare(suite, scene, renderers, versions[scene.name], kept, progress, clock)
         except Exception as error:  # whatever a renderer raises: the other scenes can still be measured
             for run_id, one in todo:
                 row = _failure(suite, run_id, one, versions[scene.name], error)
@@ -305,16 +309,20 @@ def _prepare(
     scene: Scene,
     renderers: Renderers,
     versions: Mapping[str, str],
-    cache: str | os.PathLike[str] | None,
+    folder: Path,
     progress: Progress,
-    clock: "_Clock",
+    clock: Clock,
 ) -> Job:
-    """The reference of a scene, rendered where the cache has none; a recording likewise."""
+    """The reference of a scene, rendered where the cache, ``folder``, has none; a recording likewise."""
 
     def shown(what: str) -> Callable[[float], None]:
-        return lambda share: progress(clock.fraction, f"{scene.name}: {what} {share:.0%}")
+        def show(share: float) -> None:
+            clock.prepared(scene.name, share)
+            progress(clock.fraction, f"{scene.name}: {what} {share:.0%}")
 
-    folder = Path(cache) if cache is not None else references.cache_folder()
+        clock.prepared(scene.name, 0.0)
+        return show
+
     if scene.renderer is None:
         recording: Path | None = Path(scene.source)
     elif scene.recorded_spp is not None:
@@ -337,11 +345,26 @@ def _prepare(
     return Job(suite, scene, renderers, versions, reference, None)
 
 
+def _unprepared(scene: Scene, versions: Mapping[str, str], folder: Path) -> int:
+    """Samples a pixel that :func:`_prepare` has to render."""
+    if scene.renderer is None or scene.size is None:
+        return 0
+    if scene.recorded_spp is not None:
+        return 0 if _recording(scene, versions, folder).is_file() else scene.recorded_spp
+    spp, noise = scene.reference_spp, scene.reference_noise
+    found = references.is_cached(*scene.size, spp, _settings(scene, versions), cache=folder, noise=noise)
+    return 0 if found else spp
+
+
+def _recording(scene: Scene, versions: Mapping[str, str], folder: Path) -> Path:
+    settings = {**_settings(scene, versions), "size": scene.size, "spp": scene.recorded_spp}
+    return folder / f"{key(settings)}.h5"
+
+
 def _record(
     scene: Scene, renderers: Renderers, versions: Mapping[str, str], folder: Path, progress: Callable[[float], None]
 ) -> Path:
-    settings = {**_settings(scene, versions), "size": scene.size, "spp": scene.recorded_spp}
-    path = folder / f"{key(settings)}.h5"
+    path = _recording(scene, versions, folder)
     if not path.is_file():
         folder.mkdir(parents=True, exist_ok=True)
         radiance = _load(scene, renderers, "sobol")
@@ -352,7 +375,7 @@ def _record(
             scene.recorded_spp or 0,
             path,
             seed=references.SEED,
-            settings=settings,
+            settings={**_settings(scene, versions), "size": scene.size, "spp": scene.recorded_spp},
             progress=progress,
         )
     return path
@@ -445,41 +468,6 @@ def _now() -> str:
 def _line(one: Run, row: results.Row) -> str:
     what = f"{one.scene.name}, {one.budget}, seed {one.seed}, {one.method.name}"
     return f"{what}: failed: {row['error']}" if row["error"] else f"{what}: {row['seconds.total']:.2f} s"
-
-
-class _Clock:
-    """What share of the time is spent, from what runs have cost a sample so far."""
-
-    def __init__(self, runs: Sequence[Run]) -> None:
-        self._left = {id(run): run for run in runs}
-        self._spent = 0.0
-        self._rates: dict[tuple[str, str], list[float]] = {}
-
-    def ended(self, run: Run, row: results.Row) -> None:
-        """A run has its row."""
-        del self._left[id(run)]
-        if row["error"] is None:
-            self._spent += row["seconds.total"]
-            per = 1.0 if run.method.native else row["spp"]
-            self._rates.setdefault((run.scene.name, run.method.name), []).append(row["seconds.total"] / per)
-
-    @property
-    def left(self) -> float:
-        """Seconds that the runs without a row are expected to take."""
-        every = [rate for rates in self._rates.values() for rate in rates]
-        typical = float(np.median(every)) if every else 1.0
-        return sum(
-            run.budget.value
-            if run.budget.kind == "seconds"
-            else run.budget.value * float(np.median(self._rates.get((run.scene.name, run.method.name), [typical])))
-            for run in self._left.values()
-        )
-
-    @property
-    def fraction(self) -> float:
-        """Share of the expected time that is spent, 0 to 1."""
-        left = self.left
-        return 1.0 if not self._left else self._spent / (self._spent + left)
 
 
 def _versions(scene: Scene, renderers: Renderers, code: str) -> dict[str, str]:

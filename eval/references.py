@@ -182,9 +182,7 @@ def replicated(
         )
     if noise is not None and not noise > 0.0:
         raise BadReferenceError(f"a reference's noise must be above 0, for example 0.01; {noise!r} came.")
-    full = {**settings, "width": width, "height": height, "spp": spp, "replicates": replicates, "seed": SEED}
-    if noise is not None:
-        full["noise"] = noise
+    full = _described(width, height, spp, settings, replicates, noise)
     name = key(full)
     folder = Path(cache) if cache is not None else cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
@@ -210,6 +208,28 @@ def replicated(
     _save(path, {field.name: getattr(reference, field.name) for field in fields(reference)}, settings=full)
     (folder / f"{name}.part.npz").unlink(missing_ok=True)
     return reference
+
+
+def is_cached(
+    width: int,
+    height: int,
+    spp: int,
+    settings: Mapping[str, Any],
+    *,
+    cache: str | os.PathLike[str] | None = None,
+    replicates: int = 16,
+    noise: float | None = None,
+) -> bool:
+    """Whether :func:`obtain` would find the reference of these arguments, whole."""
+    folder = Path(cache) if cache is not None else cache_folder()
+    return (folder / f"{key(_described(width, height, spp, settings, replicates, noise))}.npz").is_file()
+
+
+def _described(
+    width: int, height: int, spp: int, settings: Mapping[str, Any], replicates: int, noise: float | None
+) -> dict[str, Any]:
+    full = {**settings, "width": width, "height": height, "spp": spp, "replicates": replicates, "seed": SEED}
+    return full if noise is None else {**full, "noise": noise}
 
 
 def load(path: str | os.PathLike[str]) -> Reference:
