@@ -24,6 +24,7 @@ import numpy as np
 from pmc_sampler.adapters import load, version
 from pmc_sampler.adapters.opencl.load import scene_of
 from pmc_sampler.eval import references, statistics
+from pmc_sampler.eval.benchmark import fingerprint
 from pmc_sampler.eval.metrics import WHITE_LUMINANCE
 from pmc_sampler.eval.peers import study
 from pmc_sampler.eval.peers.process import PACKAGES, Peer, PeerError, Picture
@@ -138,6 +139,8 @@ def _study(name: str, release: str, rendered: Rendered, options: argparse.Namesp
     shared = {"renderer": name, "version": release, "scene": options.scene, "reference": reference.key}
     methods = [UNIFORM, *ADAPTIVE[name]]
     known = {**shared, "budget": options.spp}
+    if name == OURS:
+        known["code"] = fingerprint()
     asked = [_asked(known, settings, rendered, log) for settings in methods]
     for seed in range(1, _seeds(options, name) + 1):
         for settings, (samples, given) in zip(methods, asked, strict=True):

@@ -108,7 +108,7 @@ def run(
     for scene in suite.scenes:
         missing[scene.name] = []
         for run_id, one in plan[scene.name]:
-            row = _found(folder, run_id, log)
+            row = _found(folder, run_id, one, log)
             if row is not None:
                 clock.ended(one, row)
             else:
@@ -145,7 +145,7 @@ def run(
             clock.ended(one, outcome.row)
             line = _line(one, outcome.row)
             progress(clock.fraction, line)
-            log(line)
+            log(f"{clock.fraction:.0%}: {line}")
 
 
 def check(suite: Suite) -> None:
@@ -196,10 +196,11 @@ def _measured(job: Job, run_id: str, one: Run) -> Outcome:
     radiance, setup = _radiance(identity, job.renderers, job.scene, job.recording, one.method.numbers)
     started = _now()
     if one.method.native:
-        made = _native(one, radiance)
+        made, resolved = _native(one, radiance), one.method.settings_on(one.scene.name)
     else:
         spent = setup if job.suite.counts_setup(job.scene) else 0.0
-        made = _sampled(_sampler(job.suite, one, radiance, spent), radiance, spent)
+        sampler = _sampler(job.suite, one, radiance, spent)
+        made, resolved = _sampled(sampler, radiance, spent), baselines.settings_of(sampler)
     white, reference = job.suite.white_luminance, job.reference
     limit = measures.neyman(radiance, reference, white, made.spp)
     noise = measures.reference_noise(reference, white)
@@ -207,6 +208,7 @@ def _measured(job: Job, run_id: str, one: Run) -> Outcome:
     row = {
         **_described(job.suite, run_id, one, job.versions, started),
         "error": None,
+        "resolved": json.dumps(resolved, sort_keys=True),
         **{"width": width, "height": height, "samples": made.samples},
         **{"spp": made.spp, "rejected": made.rejected, "done": made.done},
         **{f"seconds.{part}": spent for part, spent in made.seconds.items()},
@@ -403,14 +405,17 @@ def _radiance(
     return radiance, setup
 
 
-def _found(folder: results.Folder, run_id: str, log: Log) -> results.Row | None:
-    """The row of a run that is not to be done again."""
+def _found(folder: results.Folder, run_id: str, one: Run, log: Log) -> results.Row | None:
+    """The row of a run that is not to be done again; it is where the image is that of another run."""
     try:
         row = folder.row(run_id)
     except results.BadResultsError as error:
         log(f"{error} It is done again now.")
         return None
-    return row if row is not None and row["error"] is None else None
+    if row is None or row["error"] is not None:
+        return None
+    name = results.image_name(one.scene.name, one.method.name, str(one.budget))
+    return row if one.seed != 1 or folder.image_id(name) == run_id else None
 
 
 def _settings(scene: Scene, versions: Mapping[str, str]) -> dict[str, Any]:
@@ -418,7 +423,6 @@ def _settings(scene: Scene, versions: Mapping[str, str]) -> dict[str, Any]:
     if scene.renderer is None:
         return {"recording": references.digest(Path(scene.source))}
     identity = references.identify(scene.source, scene.renderer, versions[scene.renderer])
-    # The label of a scene is not part of what its image depends on, nor where its file lies.
     return {**identity, "scene": scene.name, "options": dict(scene.options)}
 
 
@@ -434,6 +438,7 @@ def _identity(suite: Suite, one: Run, versions: Mapping[str, str]) -> str:
             "budget": str(one.budget),
             "reference": [scene.reference_spp, scene.reference_noise, scene.recorded_spp],
             "metrics": suite.metrics,
+            "counts_setup": suite.counts_setup(scene),
             "white_luminance": suite.white_luminance,
             "seed": one.seed,
             "code": versions["code"],
@@ -485,10 +490,10 @@ def _versions(scene: Scene, renderers: Renderers, code: str) -> dict[str, str]:
 
 
 def fingerprint(files: Iterable[Path] = ()) -> str:
-    """A hash of the code that makes and measures images: the sampler's, the baselines' and the metrics'."""
+    """A hash of the code that makes, times and measures images: the sampler's, the baselines' and the metrics'."""
     package = Path(pmc_sampler.__file__).parent
     here = Path(__file__).parent
-    own = [here / f"{name}.py" for name in ("measures", "display", "recorded")]
+    own = [here / f"{name}.py" for name in ("benchmark", "measures", "display", "recorded", "references")]
     parts = [
         Path(_core.__file__),
         *package.glob("*.py"),

@@ -80,6 +80,16 @@ def error_maps(
     return found
 
 
+def constants(white_luminance: float = metrics.WHITE_LUMINANCE) -> dict[str, dict[str, float]]:
+    """The constants of every metric that has some, by its name, as a benchmark takes them.
+
+    The exposures of HDR-FLIP are left out: they follow from each reference.
+    """
+    rows = _rows(np.ones((16, 16, 3)), white_luminance, 1.0, metrics.PIXELS_PER_DEGREE)
+    found = {row.name: {k: v for k, v in row.constants.items() if not k.endswith("_exposure")} for row in rows}
+    return {name: values for name, values in found.items() if values}
+
+
 @dataclass(frozen=True)
 class _Row:
     name: str

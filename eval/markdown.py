@@ -47,7 +47,8 @@ def _preamble(found: Results) -> str:
         f"{suite.seeds} seeds.{incomplete} {named}. {machines}. "
         f"{rejected} samples were rejected as not finite or negative.\n\n"
         f"Factors are the error of *{suite.baseline}* over the method's, taken seed by seed: median and 95 % bootstrap "
-        f"interval. A reference's noise is subtracted from errors. Luminance 1 is {suite.white_luminance:g} cd/m2. MSE "
+        f"interval{'' if suite.seeds >= statistics.ENOUGH else statistics.FEW}. A reference's noise is subtracted from "
+        f"errors, and where nothing is left there is a dash. Luminance 1 is {suite.white_luminance:g} cd/m2. MSE "
         "is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`. Bias is of mean luminance, with its standard error "
         "over seeds; before correction: of the plain mean of all samples. Seconds are medians; renderer and sampler "
         "(ask, tell and the image) are shares of the total. Limit reached: the least error that independent samples "
@@ -99,7 +100,7 @@ def _least(found: Results, scene: str, budget: str, errors: Mapping[str, str]) -
             continue
         (_, best), (_, second) = ranked[:2]
         more, least = found.pairs(scene, budget, second, best, name)
-        if least and all(least):
+        if least and min(least) > 0.0:
             factor = _interval(statistics.ratio_interval(more, least))
             parts.append(f"{title} *{best}*, and *{second}*, the next, {factor} times as much")
     return [f"Least: {'; '.join(parts)}, seed by seed."] if parts else []
@@ -126,7 +127,7 @@ def _native_table(found: Results, scene: str) -> str:
                     cells.append("none is as fast")
                     continue
                 error = _median(rows, name)
-                factor = f"{_median(own, name) / error:.2f}" if error else "–"
+                factor = f"{_median(own, name) / error:.2f}" if error > 0.0 else "–"
                 cells.append(f"{factor} at {rows[0]['budget']}, {_median(rows, 'seconds.total'):.2f} s")
         lines.append("| " + " | ".join(cells) + " |")
     title = "### The renderer's own"
@@ -164,12 +165,12 @@ def _factor(found: Results, scene: str, budget: str, method: str, name: str) -> 
     base, own = found.pairs(scene, budget, found.suite.baseline, method, name)
     if not own:
         return ""
-    return _interval(statistics.ratio_interval(base, own)) if all(own) else "–"
+    return _interval(statistics.ratio_interval(base, own)) if min(*base, *own) > 0.0 else "–"
 
 
 def _reached(rows: Sequence[Row], name: str) -> str:
-    """The least error over the rows', in per cent; a dash where one of them has no error at all."""
-    if not all(row[name] for row in rows):
+    """The least error over the rows', in per cent; a dash where one of them has no more error than the reference."""
+    if not all(row[name] > 0.0 for row in rows):
         return "–"
     return f"{statistics.median_interval([row[f'limit.{name}'] / row[name] for row in rows]).median:.0%}"
 

@@ -5,6 +5,7 @@ the mean of the K stored ones, exactly.
 """
 
 import contextlib
+import fcntl
 import json
 import os
 from collections.abc import Callable, Iterator, Mapping
@@ -173,6 +174,11 @@ class _Passes:
         self._start = len(line)
         with _written(path):
             self._file = path.open("a+b")
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            self._file.close()
+            raise BadRecordingError(f"the recording {str(path)!r} is being written by another process.") from error
         try:
             with _written(path):
                 self._begin(line, head)

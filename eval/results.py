@@ -6,6 +6,7 @@ against. Files are written beside their place and renamed, so that a reader, or 
 whole file or none.
 """
 
+import contextlib
 import json
 import os
 from collections.abc import Callable, Mapping, Sequence
@@ -35,9 +36,19 @@ class Folder:
         self.path = Path(path)
 
     def begin(self, suite: Suite, ids: Sequence[str]) -> None:
-        """Note what is going to be run: the suite, and the ids of its runs in their order."""
+        """Note what is going to be run: the suite, and the ids of its runs in their order.
+
+        Raises :class:`BadResultsError` where the folder has results of another suite, whose images would be mixed.
+        """
         import tomli_w
 
+        other = suite.name
+        with contextlib.suppress(OSError, ValueError):  # none, or one that is damaged
+            other = read(self.path / "suite.toml").name
+        if other != suite.name:
+            raise BadResultsError(
+                f"{str(self.path)!r} holds results of the suite {other!r}: give {suite.name!r} another folder."
+            )
         write_text(self.path / "suite.toml", tomli_w.dumps(suite.to_dict()))
         write_text(self.path / "plan.json", json.dumps({"ids": list(ids)}))
 
@@ -62,7 +73,8 @@ class Folder:
         import pyarrow
         import pyarrow.parquet
 
-        table = pyarrow.Table.from_pylist([row], schema=pyarrow.schema([(name, _type(row[name])) for name in row]))
+        schema = pyarrow.schema([(name, _type(name, value)) for name, value in row.items()])
+        table = pyarrow.Table.from_pylist([row], schema=schema)
         write(self._row_path(row["id"]), lambda part: pyarrow.parquet.write_table(table, part))
 
     def store_image(
@@ -72,6 +84,13 @@ class Folder:
         target = self.path / "images" / path
         target.parent.mkdir(parents=True, exist_ok=True)
         images.write_exr(target, rgb, layers, metadata)
+
+    def image_id(self, path: Path) -> str:
+        """The id of the run whose image lies under ``path``; empty where there is none, or none that can be read."""
+        try:
+            return str(images.read(self.path / "images" / path).metadata.get("pmc:id", ""))
+        except images.ImageError:
+            return ""
 
     def _row_path(self, run_id: str) -> Path:
         return self.path / "runs" / f"{run_id}.parquet"
@@ -236,11 +255,11 @@ def _tile_pixels(shape: tuple[int, ...]) -> NDArray[np.float64]:
     return np.outer(rows, columns).astype(np.float64)
 
 
-def _type(value: Any) -> Any:
-    """The Arrow type of a column; where nothing is known (None) it is a number."""
+def _type(name: str, value: Any) -> Any:
+    """The Arrow type of a column, the same in every file; where nothing is known (None) it is a number."""
     import pyarrow
 
-    if isinstance(value, str):
+    if isinstance(value, str) or name == "error":
         return pyarrow.string()
     if isinstance(value, bool):
         return pyarrow.bool_()

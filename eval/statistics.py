@@ -7,6 +7,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+ENOUGH = 6
+"""Seeds from which a bootstrap interval of a median holds it about as often as it says; of 3 it does 7 times in 10."""
+FEW = ", which of so few seeds is little more than their range"
+
 
 @dataclass(frozen=True)
 class Interval:

@@ -4,10 +4,11 @@
 many samples each pixel gets, and share everything else.
 """
 
+import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pmc_sampler import Budget
+from pmc_sampler import Budget, Sampler
 from pmc_sampler.sampler import config_for, sampler_for
 
 from .error_threshold import ErrorThreshold
@@ -27,6 +28,7 @@ __all__ = [
     "Rule",
     "make",
     "neyman_limit_of",
+    "settings_of",
 ]
 
 _RULES: dict[str, Callable[..., Rule]] = {
@@ -61,7 +63,22 @@ def make(method: Mapping[str, Any], radiance: Any, budget: Budget, seed: int) ->
     except TypeError as error:
         raise TypeError(f"the settings of {name!r} are not understood: {error}") from error
     signed = bool(getattr(radiance, "signed", False))
-    return AllocatingSampler(width, height, budget, rule, seed, initial_spp=initial_spp, signed=signed)
+    sampler = AllocatingSampler(width, height, budget, rule, seed, initial_spp=initial_spp, signed=signed)
+    defaults = {
+        name: parameter.default
+        for name, parameter in inspect.signature(_RULES[name]).parameters.items()
+        if parameter.default is not inspect.Parameter.empty
+    }
+    sampler.settings = {**defaults, **settings, "initial_spp": sampler.initial_spp}
+    return sampler
+
+
+def settings_of(sampler: Any) -> dict[str, Any]:
+    """Every setting of a sampler that :func:`make` has made, with what it stands for in place of a default."""
+    if isinstance(sampler, Sampler):
+        used = sampler.config.resolved(sampler.width, sampler.height)
+        return used.to_dict()
+    return dict(sampler.settings)
 
 
 def _check_filter(name: str, radiance: Any, wanted: Any) -> None:

@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,7 +32,7 @@ class Rule(Protocol):
 
     name: str
     initial_spp: float | None
-    """Samples a pixel before the rule is asked; None: an eighth of the budget, held to 4 to 16, as PMC's."""
+    """Samples a pixel before the rule is asked; None: a sixteenth of the budget, held to 4 to 16, as PMC's."""
 
     def allocate(self, film: Film, drawn: NDArray[np.int64], at_most: int) -> NDArray[np.float64]:
         """The share of the next batch of each pixel, (pixels,); they sum to a whole number from 1 to ``at_most``."""
@@ -71,6 +71,8 @@ class AllocatingSampler:
             initial_spp = 4.0 if budget.spp is None else min(16.0, max(4.0, budget.spp / 16))
         if not initial_spp >= 0:
             raise ValueError(f"initial_spp is {initial_spp!r}: expected 0 or more")
+        self.initial_spp = float(initial_spp)
+        self.settings: dict[str, Any] = {}
         self._initial = round(initial_spp * pixels)
         self._random = np.random.Generator(np.random.Philox(seed))
         self._scramble = self._random.integers(2**32, size=pixels, dtype=np.uint32)

@@ -8,9 +8,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .. import images, measures, metrics
+from .. import compare, images, measures, metrics, statistics
 from ..results import Results, write_text
-from ..suite import OWN, Budget, Scene, slug
+from ..suite import OWN, Budget, Method, Scene, slug
 from . import figures, pictures, plots, words
 from .claims import claims
 
@@ -36,6 +36,7 @@ def page(found: Results) -> str:
     return environment.get_template("template.html").render(
         suite=found.suite,
         summary=words.summary(found),
+        few="" if found.suite.seeds >= statistics.ENOUGH else statistics.FEW,
         claims=claims(found),
         provenance=words.provenance(found),
         commands=[
@@ -43,13 +44,23 @@ def page(found: Results) -> str:
             shlex.join(["pmc-sampler", "report", str(found.path)]),
         ],
         scenes=[_scene(found, scene) for scene in found.suite.scenes],
-        settings=[(m.name, m.numbers, json.dumps(m.settings), json.dumps(m.on)) for m in found.suite.methods],
+        settings=[(m.name, m.numbers, _resolved(found, m), json.dumps(m.on)) for m in found.suite.methods],
+        constants=[
+            (name, ", ".join(f"{constant} = {value:g}" for constant, value in values.items()))
+            for name, values in compare.constants(found.suite.white_luminance).items()
+        ],
         failed=found.failed,
         toml=(found.path / "suite.toml").read_text(encoding="utf-8"),
         tile=measures.TILE,
         css=(_HERE / "report.css").read_text(encoding="utf-8"),
         js=(_HERE / "report.js").read_text(encoding="utf-8"),
     )
+
+
+def _resolved(found: Results, method: Method) -> str:
+    """Every setting of a method, on the first scene that it has run on; what the suite gives, if on none."""
+    own = (row["resolved"] for row in found.done if row["method"] == method.name and "resolved" in row)
+    return next(own, json.dumps(dict(method.settings)))
 
 
 def _scene(found: Results, scene: Scene) -> dict[str, Any]:

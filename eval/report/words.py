@@ -97,7 +97,9 @@ def table(found: Results, scene: Scene, budget: Budget, metrics: Sequence[str], 
         limit = f"limit.{metric}"
         if metric in ERRORS and all(row[limit] is not None for rows in of_methods.values() for row in rows):
             reached = [
-                median_interval([100 * r[limit] / r[metric] for r in rows]) if all(r[metric] for r in rows) else None
+                median_interval([100 * r[limit] / r[metric] for r in rows])
+                if all(r[metric] > 0.0 for r in rows)
+                else None
                 for rows in of_methods.values()
             ]
             columns.append(_column(f"{label(metric)}, limit reached, %", reached, higher=True))
@@ -164,7 +166,8 @@ def _comparison(found: Results, scene: Scene, budget: Budget, metric: str) -> tu
     }
     higher = metric in HIGHER_IS_BETTER
     best = (max if higher else min)(values, key=lambda name: values[name])
-    start = f"the {'highest' if higher else 'least'} {label(metric)}, {number(values[best])}"
+    value = number(values[best]) if higher or values[best] > 0.0 else "no more than the reference's own noise"
+    start = f"the {'highest' if higher else 'least'} {label(metric)}, {value}"
     ratio = _ratio(found, scene, budget, best, metric) if base in values and not higher else None
     if best == base or ratio is None:
         return best, start
@@ -188,7 +191,7 @@ def _bias(found: Results, scene: Scene, budget: Budget, name: str) -> str:
 
 def _ratio(found: Results, scene: Scene, budget: Budget, name: str, metric: str) -> Interval | None:
     base, own = found.pairs(scene.name, str(budget), found.suite.baseline, name, metric)
-    if not own or min(own) <= 0.0:
+    if not own or min(*base, *own) <= 0.0:
         return None
     return ratio_interval(base, own)
 

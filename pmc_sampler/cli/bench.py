@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import importlib
 import signal
+import sys
 import time
 from collections.abc import Iterator
 from types import FrameType
@@ -24,6 +25,7 @@ def bench(options: argparse.Namespace) -> int:
     results = load("pmc_sampler.eval.results", "benchmarks", "eval")
     markdown = load("pmc_sampler.eval.markdown", "benchmarks", "eval")
     executors = load("pmc_sampler.eval.executors", "benchmarks", "eval")
+    images = load("pmc_sampler.eval.images", "benchmarks", "eval")
     for module in ("pyarrow", "tomli_w"):
         load(module, "benchmarks", "eval")
     if options.output.exists() and not options.output.is_dir():
@@ -45,10 +47,13 @@ def bench(options: argparse.Namespace) -> int:
                 benchmark.Renderers(adapters.load, adapters.version),
                 cache=options.cache,
                 execute=execute,
+                log=_log,
                 progress=shown,
             )
     except (suite_module.BadSuiteError, results.BadResultsError, ClusterError) as error:
         raise CommandError(str(error)) from error
+    except (images.ImageError, OSError) as error:
+        raise CommandError(f"results cannot be written: {str(error).rstrip('.')}.", status=1) from error
     except KeyboardInterrupt:
         raise CommandError(
             f"interrupted; {options.output} holds the runs until then, and the same command goes on from there.",
@@ -65,6 +70,12 @@ def bench(options: argparse.Namespace) -> int:
             status=1,
         )
     return 0
+
+
+def _log(line: str) -> None:
+    """A line for each run where no terminal shows progress."""
+    if not sys.stderr.isatty():
+        print(line, file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager

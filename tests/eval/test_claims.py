@@ -70,12 +70,13 @@ def test_slightly_more_error(low: float, high: float, held: bool | None) -> None
 
 def test_the_order_of_gains() -> None:
     gains = [(0.3, Interval(1.1, 1.0, 1.2), "room"), (0.02, Interval(4.0, 3.0, 5.0), "box")]
-    claim = order(gains, "paper")
+    claim = order(gains, "paper", 6)
     assert (claim.held, claim.verdict) == (True, "held")
     assert "box: 2 % and 4.00 (3.00 to 5.00), room: 30 % and 1.10 (1.00 to 1.20)" in claim.figures
-    assert order([(0.01, *gains[0][1:]), gains[1]], "paper").verdict == "did not hold"
+    assert order([(0.01, *gains[0][1:]), gains[1]], "paper", 6).verdict == "did not hold"
     unsure = (0.3, Interval(3.5, 2.5, 4.5), "room")
-    assert order([unsure, gains[1]], "paper").verdict == "not shown"
+    assert order([unsure, gains[1]], "paper", 6).verdict == "not shown"
+    assert order(gains, "paper", 5).verdict == "not shown"
 
 
 def test_a_report_has_the_verdicts(tmp_path: Path, noisy: type) -> None:
