@@ -110,6 +110,7 @@ def test_a_row_measures_the_library_s_image(rows: list[dict[str, Any]], noisy: t
     """Each figure of a row is that of the image which `render` makes, against the reference of the cache."""
     row = next(row for row in rows if (row["method"], row["seed"], row["budget"]) == ("PMC", 2, "8spp"))
     assert json.loads(row["settings"]) == {"sampler": "pmc", "moves": 1}
+    assert json.loads(row["resolved"]) == Config(moves=1).resolved(row["width"], row["height"]).to_dict()
     film = render(noisy(*SIZE), *SIZE, Budget(spp=8), Config(moves=1), seed=2).film
     (reference, *_) = [references.load(path) for path in sorted((finished / "cache").iterdir())]
     x, r = film.mean, reference.mean
@@ -356,6 +357,47 @@ def test_no_error_at_all_is_a_dash(tmp_path: Path) -> None:
     text = markdown.page(results.Results(tmp_path / "out", one_scene, rows, 0))
     (line,) = (line for line in text.splitlines() if line.startswith("| PMC"))
     assert line.startswith("| PMC | 0 | – | 0 | – | – | – |")
+
+
+def test_no_more_error_than_the_references_is_a_dash(tmp_path: Path) -> None:
+    """Neither a factor nor a least error is made of what subtracting left below nought."""
+    rows = [made(*of, 1.0 if of[0] == "PT" else -0.01, 0.0) for of in (("PT", 1, "4spp"), ("PMC", 1, "4spp"))]
+    one_scene = dataclasses.replace(SUITE, scenes=SUITE.scenes[:1], seeds=1)
+    text = markdown.page(results.Results(tmp_path / "out", one_scene, rows, 0))
+    (line,) = (line for line in text.splitlines() if line.startswith("| PMC"))
+    assert line.startswith("| PMC | -0.01 | – | -0.02 | – | – | – |")
+    assert "Least:" not in text
+    assert "of so few seeds" in text
+
+
+def test_a_folder_has_one_suite(rows: list[dict[str, Any]], finished: Path, noisy: type) -> None:
+    other = dataclasses.replace(SUITE, name="another")
+    with pytest.raises(results.BadResultsError, match=r"holds results of the suite .*: give 'another' another folder"):
+        benchmark.run(other, results.Folder(finished / "out"), Loader(noisy).hooks, cache=finished / "cache")
+    assert results.load(finished / "out").rows == rows
+
+
+def test_an_image_of_another_run_is_made_again(noisy: type, tmp_path: Path) -> None:
+    """Where a setting was changed and changed back, the row is there, and the image that of the other one."""
+    loader, folder = Loader(noisy), results.Folder(tmp_path / "out")
+    for white in (100.0, 200.0, 100.0):
+        given = dataclasses.replace(SUITE, white_luminance=white, scenes=SUITE.scenes[:1])
+        benchmark.run(given, folder, loader.hooks, cache=tmp_path / "cache")
+        found = results.load(folder.path)
+        for row in found.rows:
+            if row["seed"] == 1:
+                name = results.image_name(row["scene"], row["method"], row["budget"])
+                assert folder.image_id(name) == row["id"]
+
+
+def test_files_with_a_failed_run_are_one_table(noisy: type, tmp_path: Path) -> None:
+    import pyarrow.parquet
+
+    loader = Loader(noisy, fails=SUITE.scenes[1].source)
+    benchmark.run(SUITE, results.Folder(tmp_path / "out"), loader.hooks, cache=tmp_path / "cache")
+    table = pyarrow.parquet.read_table(tmp_path / "out" / "runs")
+    assert any(table["error"].to_pylist())
+    assert not all(table["error"].to_pylist())
 
 
 def test_the_page_of_real_rows(rows: list[dict[str, Any]], finished: Path) -> None:

@@ -193,6 +193,20 @@ def test_another_recording_is_not_overwritten(noisy: type, tmp_path: Path) -> No
 
 
 # --- Files that are no recordings ------------------------------------------------------------------------------------
+def test_two_at_once_are_refused(noisy: type, tmp_path: Path) -> None:
+    """The second one; the first is whole."""
+    path = tmp_path / "a.h5"
+
+    def meanwhile(share: float) -> None:
+        if share < 1.0:
+            with pytest.raises(BadRecordingError, match="is being written by another process"):
+                record(noisy(), 12, 10, 16, path, seed=2)
+
+    record(noisy(), 12, 10, 16, path, seed=2, progress=meanwhile)
+    record(noisy(), 12, 10, 16, tmp_path / "b.h5", seed=2)
+    assert (Recording(path).mean == Recording(tmp_path / "b.h5").mean).all()
+
+
 def test_damaged_and_foreign_files_are_named(recording_path: Path, tmp_path: Path) -> None:
     with pytest.raises(BadRecordingError, match="there is no recording"):
         Recording(tmp_path / "none.h5")

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pmc_sampler.eval import benchmark, images, metrics, report, results, statistics, suite
+from pmc_sampler.eval import benchmark, compare, images, metrics, report, results, statistics, suite
 from pmc_sampler.eval.report import figures, pictures, plots, words
 
 from pmc_sampler.cli import main
@@ -151,8 +151,12 @@ def test_it_has_every_part(whole: Page) -> None:
     assert "36 runs are done with 2 seeds." in whole.text
     assert "4 samples in every pixel" in whole.text, "of the uniform method on the second scene"
     assert "Slope of log MSE against log samples per pixel: PT" in whole.text
-    methods = {row[0] for row in whole.rows}
-    assert {"method", *(method.name for method in SUITE.methods)} == methods
+    first = {row[0] for row in whole.rows}
+    measured = {"metric", *compare.constants()}
+    assert {"method", *(method.name for method in SUITE.methods)} == first - measured
+    assert measured <= first
+    assert ["relMSE, trimmed", "epsilon = 0.01, trim = 0.001"] in whole.rows
+    assert "&#34;pool_share&#34;: 0.15" in whole.html, "a setting that no suite gives"
 
 
 def test_a_flip_book_has_every_image(whole: Page, folder: Path) -> None:
