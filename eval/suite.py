@@ -21,7 +21,7 @@ SHIPPED = Path(__file__).parent / "suites"
 _SUITE = {"name", "about", "seeds", "white_luminance", "metrics", "baseline", "scene", "method"}
 _BUDGETS = {"spp": float, "seconds": float}
 _OF_SCENES = {"size", "spp", "seconds", "renderer", "reference_spp", "reference_noise", "recorded_spp"}
-_SCENE = {"name", "file", "recording", "options"} | _OF_SCENES
+_SCENE = {"name", "file", "recording", "options", "crops"} | _OF_SCENES
 _METHOD = {"name", "numbers", "config", "sweep", "scenes", "on"}
 _NUMBERS = ("sobol", "independent")
 LARGEST = 100_000
@@ -56,7 +56,8 @@ class Scene:
     ``source`` is a built-in scene's name or an absolute path; of a recording, where ``renderer`` is None, or of
     a scene file. ``size`` is (width, height) in pixels; None for a recording, which has its own.
     ``recorded_spp`` samples of each pixel are recorded first and replayed; None renders anew in each run.
-    ``options`` go to the renderer, as sorted pairs.
+    ``options`` go to the renderer, as sorted pairs. ``crops`` are parts of the image that the report shows: a name, and
+    left, top, right and bottom as shares of the image.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Scene:
     reference_noise: float | None
     recorded_spp: int | None
     options: tuple[tuple[str, Any], ...] = ()
+    crops: tuple[tuple[str, tuple[float, float, float, float]], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -189,9 +191,9 @@ def read(path: str | Path) -> Suite:
     other than the defaults, ``metrics`` and ``white_luminance``. ``size``, ``spp`` and ``seconds`` (lists of
     budgets), ``renderer``, ``reference_spp``, ``reference_noise`` and ``recorded_spp`` stand at the top for all
     scenes or in one of the tables ``[[scene]]``, which has ``name`` (of a built-in scene, or a label beside
-    ``file``, a scene file, or ``recording``) and ``options`` of the renderer. A table ``[[method]]`` has
-    ``name``, ``numbers`` and settings for :func:`pmc_sampler.eval.baselines.make`; ``config``, a TOML file of
-    more settings; ``scenes``, those it runs on; ``[method.on.SCENE]``, settings for one scene; and
+    ``file``, a scene file, or ``recording``), ``options`` of the renderer and ``crops`` for the report. A table
+    ``[[method]]`` has ``name``, ``numbers`` and settings for :func:`pmc_sampler.eval.baselines.make`; ``config``, a
+    TOML file of more settings; ``scenes``, those it runs on; ``[method.on.SCENE]``, settings for one scene; and
     ``[method.sweep]``, lists of values: one method for each combination, named by the ``{setting}`` in ``name``.
     With ``sampler = "native"`` a method is the renderer's own way to choose samples, and ends by itself. Paths are
     relative to the suite. Raises :class:`BadSuiteError`.
@@ -283,7 +285,29 @@ def _scene(common: Mapping[str, Any], table: Mapping[str, Any], folder: Path) ->
         else None,
         recorded,
         tuple(sorted((key, _frozen(value)) for key, value in options.items())),
+        tuple(_crop(name, sides, what) for name, sides in _crops(table, what).items()),
     )
+
+
+def _crops(table: Mapping[str, Any], what: str) -> Mapping[str, Any]:
+    crops = table.get("crops", {})
+    if not isinstance(crops, Mapping):
+        raise BadSuiteError(f"{what}: crops is {crops!r}: expected a table of names and [left, top, right, bottom]")
+    return crops
+
+
+def _crop(name: str, sides: Any, what: str) -> tuple[str, tuple[float, float, float, float]]:
+    try:
+        left, top, right, bottom = (float(side) for side in sides)
+        whole = 0.0 <= left < right <= 1.0 and 0.0 <= top < bottom <= 1.0
+    except (TypeError, ValueError):
+        whole = False
+    if not whole:
+        raise BadSuiteError(
+            f"{what}: the crop {name!r} is {sides!r}: expected left, top, right and bottom as shares of the image, "
+            "such as [0.4, 0.6, 0.8, 0.9]"
+        )
+    return name, (left, top, right, bottom)
 
 
 def _methods(table: Mapping[str, Any], folder: Path) -> Iterator[Method]:
@@ -349,6 +373,8 @@ def _scene_dict(scene: Scene) -> dict[str, Any]:
             table[name] = getattr(scene, name)
     if scene.options:
         table["options"] = dict(scene.options)
+    if scene.crops:
+        table["crops"] = {name: list(sides) for name, sides in scene.crops}
     return table
 
 

@@ -149,7 +149,10 @@ def _pictures(found: Results, scene: Scene, budget: Budget | None) -> dict[str, 
         "budget": words.spoken(budget),
         "crops": [
             _crop(crop, rgb, reference, white)
-            for crop in pictures.choose_crops(rgb, found.suite.baseline, reference, white)
+            for crop in (
+                *pictures.named_crops(scene, reference.shape),
+                *pictures.choose_crops(rgb, found.suite.baseline, reference, white),
+            )
         ],
         **_maps({name: image.layers for name, image in made.items()}),
         "bias": _bias(found, scene, budget, reference),
@@ -169,7 +172,7 @@ def _crop(crop: pictures.Crop, rgb: dict[str, Any], reference: Any, white: float
             f"MSE {figures.number(metrics.mse(part, inside))}",
         ]
         shown.append({"name": name, "uri": pictures.shown(part), "figures": said})
-    where = f"{crop.width}x{crop.height} pixels from ({crop.left}, {crop.top}), where {crop.why}"
+    where = f"{crop.width}x{crop.height} pixels from ({crop.left}, {crop.top}), {crop.why}"
     return {"where": where, "images": shown}
 
 
@@ -191,6 +194,8 @@ def _maps(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
         if "strategy" in of_method and np.ptp(of_method["strategy"], axis=-1).any():
             alt = f"{name}: strategy image, red, green and blue for the first, second and third radius"
             maps.append(plots.Plot(pictures.strategy(of_method["strategy"]), alt, f"{alt}; the brighter the denser"))
+            shares = of_method["strategy"] / np.maximum(of_method["strategy"].sum(axis=-1, keepdims=True), 1e-12)
+            maps.append(plots.map_plot(shares[..., 0], (0.0, 1.0), f"{name}: share of the first radius", "share"))
         if "alpha" in of_method:
             for radius, ordinal in enumerate(("first", "second", "third")):
                 title = f"{name}: alpha, weight of the {ordinal} radius"

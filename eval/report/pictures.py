@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from .. import measures, metrics
 from ..display import display
+from ..suite import Scene
 
 DARK = 0.01
 """Radiance at which :func:`encode` turns from linear to logarithmic."""
@@ -19,7 +20,7 @@ Pixels = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class Crop:
-    """A rectangle of an image in pixels: left, top, width, height; ``why`` it was chosen."""
+    """A rectangle of an image in pixels: left, top, width, height; ``why`` it was chosen, or what is there."""
 
     left: int
     top: int
@@ -94,9 +95,9 @@ def choose_crops(images: Mapping[str, Pixels], baseline: str, reference: Pixels,
     base = errors.get(baseline, next(iter(errors.values())))
     best = min(errors, key=lambda name: float(errors[name].mean()))
     wanted = [
-        (np.ptp(np.stack(list(errors.values())), axis=0), "the methods differ most in thresholds"),
-        (base, "the baseline's error in thresholds is greatest"),
-        (errors[best] - base, f"{best} is farthest behind the baseline in thresholds"),
+        (np.ptp(np.stack(list(errors.values())), axis=0), "where the methods differ most in thresholds"),
+        (base, "where the baseline's error in thresholds is greatest"),
+        (errors[best] - base, f"where {best} is farthest behind the baseline in thresholds"),
     ]
     crops: list[Crop] = []
     for values, why in wanted:
@@ -108,6 +109,16 @@ def choose_crops(images: Mapping[str, Pixels], baseline: str, reference: Pixels,
             top, left = np.unravel_index(int(free.argmax()), free.shape)
             why = why if not crops else f"{why}, apart from those above"
             crops.append(Crop(int(left), int(top), side, side, why))
+    return crops
+
+
+def named_crops(scene: Scene, shape: tuple[int, ...]) -> list[Crop]:
+    """The crops that a suite asks for, of an image (height, width, ...); of a pixel at least."""
+    height, width = shape[:2]
+    crops = []
+    for name, (left, top, right, bottom) in scene.crops:
+        x, y = min(int(left * width), width - 1), min(int(top * height), height - 1)
+        crops.append(Crop(x, y, max(round(right * width) - x, 1), max(round(bottom * height) - y, 1), name))
     return crops
 
 

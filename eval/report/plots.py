@@ -228,17 +228,20 @@ def bias_percent(test: Welch, mean: ArrayLike) -> NDArray[np.float64]:
 def bias_plot(test: Welch, percent: ArrayLike, reach: float, title: str) -> Plot:
     """``percent`` (rows, columns), :func:`bias_percent`, shown within -``reach`` to ``reach``.
 
-    A cross marks the tiles where the bias is more than chance explains.
+    A plus or a minus, so that it is seen without colour, marks the tiles where the bias is more than chance explains.
     """
-    rows, columns = np.nonzero(test.biased)
+    signs = {"+": test.difference > 0.0, "_": test.difference <= 0.0}
 
     def draw(figure: Any) -> None:
         axes, bar = _picture_axes(figure)
         picture = axes.imshow(percent, cmap="PuOr_r", vmin=-reach, vmax=reach, interpolation="nearest")
-        axes.plot(columns, rows, linestyle="none", marker="x", color="black", markersize=5, markeredgewidth=1.2)
+        for marker, where in signs.items():
+            rows, columns = np.nonzero(test.biased & where)
+            axes.plot(columns, rows, linestyle="none", marker=marker, color="black", markersize=6, markeredgewidth=1.5)
         figure.colorbar(picture, cax=bar).set_label("bias of luminance, %")
 
-    marked = f"{len(rows)} of {test.p.size} tiles are biased at a false-alarm rate of {test.alpha:g} over all tiles."
+    count = f"{int(test.biased.sum())} of {test.p.size} tiles"
+    marked = f"{count} are biased at a false-alarm rate of {test.alpha:g} over all tiles."
     alt = f"{title}: {marked} Shown within ±{reach:.3g} %"
     return Plot(_svg(draw, _size_of(np.asarray(percent))), alt, f"{title}: {marked}")
 

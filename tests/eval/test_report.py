@@ -36,7 +36,10 @@ SUITE = suite.parse(
         "reference_spp": 64,
         "baseline": "PT",
         "metrics": ["mse", "tvi_error", "ssim"],
-        "scene": [{"name": "diffuse", "seconds": [0.01]}, {"name": HOSTILE, "file": __file__, "spp": [4]}],
+        "scene": [
+            {"name": "diffuse", "seconds": [0.01], "crops": {"a corner": [0.5, 0.5, 1, 1]}},
+            {"name": HOSTILE, "file": __file__, "spp": [4]},
+        ],
         "method": [
             {"name": "PT", "sampler": "uniform"},
             {"name": HOSTILE.replace("{", "{{").replace("}", "}}"), "sampler": "pmc", "moves": 1},
@@ -385,6 +388,18 @@ def test_the_numbers_of_an_axis_have_one_form() -> None:
     assert figures.tick_labels([1e-6, 2e-5, 0.1]) == ["10⁻⁶", "2·10⁻⁵", "10⁻¹"]
 
 
+def test_crops_that_the_suite_names(whole: Page) -> None:
+    width, height = SIZE[0] - SIZE[0] // 2, SIZE[1] - SIZE[1] // 2
+    assert f"Crop: {width}x{height} pixels from ({SIZE[0] // 2}, {SIZE[1] // 2}), a corner" in whole.text
+    tiny = dataclasses.replace(
+        SUITE.scenes[0], crops=(("all", (0.0, 0.0, 1.0, 1.0)), ("a point", (0.99, 0.9, 1.0, 0.91)))
+    )
+    assert pictures.named_crops(tiny, (3, 5, 3)) == [
+        pictures.Crop(0, 0, 5, 3, "all"),
+        pictures.Crop(4, 2, 1, 1, "a point"),
+    ]
+
+
 def test_crops_are_where_methods_differ_and_where_the_best_loses() -> None:
     reference = np.full((90, 120, 3), 0.5, dtype=np.float32)
     base, best = reference.copy(), reference.copy()
@@ -393,9 +408,9 @@ def test_crops_are_where_methods_differ_and_where_the_best_loses() -> None:
     best[60:65, 100:105] += 0.1
     crops = pictures.choose_crops({"base": base, "best": best}, "base", reference, 100.0)
     assert [crop.why.split(",")[0] for crop in crops] == [
-        "the methods differ most in thresholds",
-        "the baseline's error in thresholds is greatest",
-        "best is farthest behind the baseline in thresholds",
+        "where the methods differ most in thresholds",
+        "where the baseline's error in thresholds is greatest",
+        "where best is farthest behind the baseline in thresholds",
     ]
     for crop, (x, y) in zip(crops, ((15, 15), (20, 65), (102, 62)), strict=True):
         assert crop.left <= x < crop.left + crop.width

@@ -122,6 +122,13 @@ def test_each_seed_has_every_method_before_the_next_begins() -> None:
         ("spp", [4, 4.0], "'4spp' and '4spp' would share files"),
         ("scene.1.spp", [], "scene 'diffuse' has no budget"),
         ("scene.0.options", 3, "options is 3"),
+        ("scene.0.crops", 3, "crops is 3"),
+        (
+            "scene.0.crops",
+            {"a": [0.5, 0, 0.4, 1]},
+            "the crop 'a' is .*: expected left, top, right and bottom as shares",
+        ),
+        ("scene.0.crops", {"a": [0, 0, 1]}, "the crop 'a' is"),
         ("scene.0.recorded_spp", 0, "`recorded_spp` is 0: expected a whole number from 1"),
         ("scene.0.recorded_spp", 24, "`recorded_spp` is 24: expected a power of two"),
         ("method.0.numbers", "halton", "numbers is 'halton': expected one of sobol, independent"),
