@@ -39,6 +39,21 @@ class ErrorMap:
     best: float = 0.0
 
 
+@dataclass(frozen=True)
+class Noise:
+    """The variance of a reference's own mean: of RGB (height, width, 3) and of luminance (height, width)."""
+
+    rgb: NDArray[np.floating]
+    luminance: NDArray[np.floating]
+
+    def added(self, reference: ArrayLike, white_luminance: float = metrics.WHITE_LUMINANCE) -> dict[str, float]:
+        """What it adds to the MSE and to the tvi error, and is subtracted."""
+        zero = metrics.tvi_error(
+            reference, reference, white_luminance=white_luminance, reference_variance=self.luminance
+        )
+        return {"MSE": float(np.mean(self.rgb, dtype=np.float64)), "tvi error": -zero}
+
+
 def compare(
     test: ArrayLike,
     reference: ArrayLike,
@@ -46,17 +61,18 @@ def compare(
     white_luminance: float = metrics.WHITE_LUMINANCE,
     exposure: float = 1.0,
     pixels_per_degree: float = metrics.PIXELS_PER_DEGREE,
+    noise: Noise | None = None,
 ) -> list[Measure]:
     """Every metric of :mod:`pmc_sampler.eval.metrics` on linear RGB images of shape (height, width, 3).
 
-    ``white_luminance`` in cd/m2 for metrics of visibility, ``exposure`` for display-encoded ones. Nothing
-    of the reference's own noise is subtracted: an image file does not hold it. SSIM is left out for images
-    under 11x11 pixels, HDR-FLIP and the bias for a black reference: they do not exist there. Raises
-    ``ValueError`` as the metrics do.
+    ``white_luminance`` in cd/m2 for metrics of visibility, ``exposure`` for display-encoded ones. The reference's
+    own ``noise`` is subtracted from squared errors where it is known. SSIM is left out for images under 11x11
+    pixels, HDR-FLIP and the bias for a black reference: they do not exist there. Raises ``ValueError`` as the
+    metrics do.
     """
     return [
         Measure(row.name, row.value(test, reference, **row.arguments), row.unit, row.constants)
-        for row in _rows(reference, white_luminance, exposure, pixels_per_degree)
+        for row in _rows(reference, white_luminance, exposure, pixels_per_degree, noise)
     ]
 
 
@@ -67,10 +83,11 @@ def error_maps(
     white_luminance: float = metrics.WHITE_LUMINANCE,
     exposure: float = 1.0,
     pixels_per_degree: float = metrics.PIXELS_PER_DEGREE,
+    noise: Noise | None = None,
 ) -> list[ErrorMap]:
     """The map of every metric that has one; arguments, omissions and errors as :func:`compare`."""
     found = []
-    for row in _rows(reference, white_luminance, exposure, pixels_per_degree):
+    for row in _rows(reference, white_luminance, exposure, pixels_per_degree, noise):
         if row.terms is None:
             continue
         values = row.terms(test, reference, **row.arguments)
@@ -101,23 +118,25 @@ class _Row:
     best: float = 0.0
 
 
-def _rows(reference: ArrayLike, white: float, exposure: float, ppd: float) -> list[_Row]:
+def _rows(reference: ArrayLike, white: float, exposure: float, ppd: float, noise: Noise | None = None) -> list[_Row]:
     m = metrics
+    own: dict[str, object] = {} if noise is None else {"reference_variance": noise.rgb}
+    own_y: dict[str, object] = {} if noise is None else {"reference_variance": noise.luminance}
     r = np.asarray(reference, dtype=np.float64)
     cd: dict[str, object] = {"white_luminance": white}
     shown: dict[str, object] = {"exposure": exposure}
     angle: dict[str, object] = {"pixels_per_degree": ppd}
     cd_, shown_, angle_ = {"white_luminance_cd_m2": white}, {"exposure": exposure}, {"pixels_per_degree": ppd}
     rows = [
-        _Row("tvi error", m.tvi_error, m.tvi_error_map, "thresholds^2", cd, cd_),
+        _Row("tvi error", m.tvi_error, m.tvi_error_map, "thresholds^2", {**cd, **own_y}, cd_),
         _Row("mean threshold ratio", m.threshold_ratio, m.threshold_ratio_map, "thresholds", cd, cd_),
         _Row("visible pixels", m.visible_pixels, None, "", cd, cd_),
         _Row("Yee", m.yee, None, "", {**cd, **angle}, {**cd_, **angle_}),
-        _Row("MSE", m.mse, m.squared_error_map),
-        _Row("RMSE", m.rmse),
-        _Row("PSNR", m.psnr, None, "dB", {"peak": 1.0}, {"peak": 1.0}),
-        _Row("relMSE", m.relmse, m.relmse_map, "", {"epsilon": 0.01}, {"epsilon": 0.01}),
-        _Row("relMSE, trimmed", m.relmse, None, "", {"trim": 0.001}, {"epsilon": 0.01, "trim": 0.001}),
+        _Row("MSE", m.mse, m.squared_error_map, "", own),
+        _Row("RMSE", m.rmse, None, "", own),
+        _Row("PSNR", m.psnr, None, "dB", {"peak": 1.0, **own}, {"peak": 1.0}),
+        _Row("relMSE", m.relmse, m.relmse_map, "", {"epsilon": 0.01, **own}, {"epsilon": 0.01}),
+        _Row("relMSE, trimmed", m.relmse, None, "", {"trim": 0.001, **own}, {"epsilon": 0.01, "trim": 0.001}),
         _Row("SMAPE", m.smape, m.smape_map, "", {"epsilon": 0.01}, {"epsilon": 0.01}),
         _Row("PU21-PSNR", m.pu21_psnr, None, "dB", cd, cd_ | {"peak": 256.0}),
         _Row("delta E 2000", m.delta_e, m.delta_e_map, "", shown, shown_),

@@ -806,6 +806,28 @@ def test_compare_prints_every_metric(
     assert {row["name"]: row["value"] for row in rows}["PSNR"] is None  # infinity is no JSON
 
 
+def test_compare_subtracts_the_noise_that_a_reference_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of squared errors, and of no other; it says how much."""
+    monkeypatch.chdir(tmp_path)
+    ones = np.ones((16, 16, 3), np.float32)
+    layers = {"variance": 0.25 * ones, "luminance_variance": np.full((16, 16), 0.125, np.float32)}
+    for name, value, more in (("test", 2.0, {}), ("plain", 1.0, {}), ("noisy", 1.0, layers)):
+        images.write_exr(tmp_path / f"{name}.exr", value * ones, more)
+    values = {}
+    for name in ("plain", "noisy"):
+        assert main(["compare", "test.exr", f"{name}.exr", "--json"]) == 0
+        summary = json.loads(capsys.readouterr().out)
+        values[name] = {row["name"]: row["value"] for row in summary["metrics"]}
+    assert values["noisy"]["MSE"] == pytest.approx(values["plain"]["MSE"] - 0.25)
+    assert values["noisy"]["tvi error"] == pytest.approx(0.875 * values["plain"]["tvi error"])
+    assert values["noisy"]["SSIM"] == values["plain"]["SSIM"]
+    assert summary["subtracted"]["MSE"] == pytest.approx(0.25)
+    assert main(["compare", "test.exr", "noisy.exr"]) == 0
+    assert "The reference's own noise is subtracted: 0.25 of the MSE, " in capsys.readouterr().out
+
+
 def test_compare_refuses_images_that_do_not_match(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -20,6 +20,10 @@ def compare(options: argparse.Namespace) -> int:
     try:
         pictures = {path: images.read(path) for path in (options.test, options.reference)}
         pair = (pictures[options.test].rgb, pictures[options.reference].rgb)
+        layers = pictures[options.reference].layers
+        known = {"variance", "luminance_variance"} <= layers.keys()  # as those that bench writes
+        noise = comparison.Noise(layers["variance"], layers["luminance_variance"]) if known else None
+        settings["noise"] = noise
         measures = comparison.compare(*pair, **settings)
         files = []
         if options.maps is not None:
@@ -31,16 +35,25 @@ def compare(options: argparse.Namespace) -> int:
         ) from error
     except ValueError as error:
         raise CommandError(str(error)) from error
+    subtracted = {} if noise is None else noise.added(pair[1], options.white_luminance)
     decoded = [str(path) for path, picture in pictures.items() if picture.encoded]
     if options.json:
         rows = [measure.as_dict() for measure in measures]
         for row in rows:
             if not math.isfinite(row["value"]):
                 row["value"] = None
-        summary = {"test": str(options.test), "reference": str(options.reference), "decoded_from_srgb": decoded}
+        summary: dict[str, Any] = {
+            "test": str(options.test),
+            "reference": str(options.reference),
+            "decoded_from_srgb": decoded,
+        }
+        summary["subtracted"] = subtracted
         print(json.dumps({**summary, "metrics": rows, "maps": [str(file) for file in files]}, indent=2))
         return 0
     _print(measures)
+    if subtracted:
+        said = ", ".join(f"{value:.6g} of the {name}" for name, value in subtracted.items())
+        print(f"The reference's own noise is subtracted: {said}, and so of what is made of the same squares.")
     for name in decoded:
         print(f"{name} holds display-encoded values: they were decoded as sRGB, brighter light than white is lost.")
     if files:
