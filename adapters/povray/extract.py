@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 from .camera import Camera
 from .camera_log import LOG, with_log
@@ -14,9 +16,12 @@ from .source import Source
 
 __all__ = ["extracting"]
 
-_END = "done\n"
+_END = "pmc: the scene is read\n"  # no line of the log that names a variable ends so
 # At the end of the scene, of which nothing is rendered.
-_STOP = f'\n#version 3.7; #fopen pmc_file "{LOG}" append #write(pmc_file,"done\\n") #fclose pmc_file #error "done"\n'
+_STOP = (
+    f'\n#version 3.7; #fopen pmc_file "{LOG}" append #write(pmc_file,"{_END.strip()}\\n") #fclose pmc_file '
+    '#error "done"\n'
+)
 
 
 @contextlib.contextmanager
@@ -53,13 +58,22 @@ def _camera(source: Source, width: int, height: int, result: Result, log: str) -
 def _reading(source: Source, width: int, height: int) -> Iterator[Callable[[], tuple[Result, str]]]:
     """POV-Ray that reads the scene for an image of that size; how it ends, and what the scene has written down."""
     with private_folder() as folder, contextlib.ExitStack() as stack:
-
-        def log() -> str:
-            return read_text(folder / LOG) if (folder / LOG).is_file() else ""
+        log = folder / LOG
 
         def read() -> tuple[Result, str]:
-            return process.wait(source.timeout, lambda: log().endswith(_END)), log()
+            result = process.wait(source.timeout, lambda: _ends(log))
+            return result, read_text(log) if log.is_file() else ""
 
-        process = source.start(folder, (f"+W{width}", f"+H{height}"), _STOP, folder)
+        process = source.start(folder, (f"+W{width}", f"+H{height}"), _STOP)
         stack.callback(process.kill)
         yield read
+
+
+def _ends(log: Path) -> bool:
+    """Whether the scene has been read to its end."""
+    try:
+        with log.open("rb") as file:
+            file.seek(-min(log.stat().st_size, len(_END)), os.SEEK_END)
+            return file.read() == _END.encode()
+    except FileNotFoundError:
+        return False

@@ -17,15 +17,17 @@ _PASSED = re.compile(
     r"|Vista_Buffer|Light_Buffer)\s*=.*",
     re.IGNORECASE,
 )
+_WHOLE = ("a whole number from 0", r"\d{1,9}")
+_NUMBER = ("a number", r"[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?")
 # Of animations: the switch, its long name and what its value looks like.
 _FRAMES = {
-    "KFI": ("Initial_Frame", r"\d{1,9}"),
-    "KFF": ("Final_Frame", r"\d{1,9}"),
-    "KI": ("Initial_Clock", r"[-+]?[\d.]+"),
-    "KF": ("Final_Clock", r"[-+]?[\d.]+"),
-    "SF": ("Subset_Start_Frame", r"\d{1,9}"),
-    "EF": ("Subset_End_Frame", r"\d{1,9}"),
-    "KC": ("Cyclic_Animation", r"on|off|yes|no|true|false|1|0|"),
+    "KFI": ("Initial_Frame", _WHOLE),
+    "KFF": ("Final_Frame", _WHOLE),
+    "KI": ("Initial_Clock", _NUMBER),
+    "KF": ("Final_Clock", _NUMBER),
+    "SF": ("Subset_Start_Frame", _WHOLE),
+    "EF": ("Subset_End_Frame", _WHOLE),
+    "KC": ("Cyclic_Animation", ("on or off", r"on|off|yes|no|true|false|1|0|")),
 }
 _MOST_FILES = 1000
 _HERE = (
@@ -62,13 +64,17 @@ def read(options: Sequence[str]) -> Options:
         raise TypeError(f"options are a sequence of strings such as ['Declare=N=3'], not the string {options!r}")
     result = Options()
     for option in options:
+        before, result.frames = result.frames, {}
         name, section = _ini(option)
         if name is None:
             if not _take(result, option, Path()):
                 raise ValueError(f"{option!r} is no option of POV-Ray that can be given here; {_HERE}")
-            continue
-        for line in _lines(Path(name), section):
-            _take(result, line, Path(name).parent)
+        else:
+            for line in _lines(Path(name), section):
+                _take(result, line, Path(name).parent)
+        if "SF" in result.frames:
+            before.pop("EF", None)  # the end of what was chosen before
+        result.frames = before | result.frames
     result.switches += _one_frame(result.frames)
     return result
 
@@ -90,8 +96,6 @@ def _take(result: Options, option: str, folder: Path) -> bool:
     elif frame := _frame(option):
         name, value = frame
         result.frames[name] = value
-        if name == "SF":
-            result.frames.pop("EF", None)  # the end of what was chosen before
     elif _PASSED.fullmatch(option):
         option = re.sub(r"\s*=\s*", "=", option)
         if re.search(r"\s", option) or not option.isascii():
@@ -103,11 +107,16 @@ def _take(result: Options, option: str, folder: Path) -> bool:
 
 
 def _frame(option: str) -> tuple[str, str] | None:
-    """The switch and the value of an option for animations, or None."""
-    for switch, (name, value) in _FRAMES.items():
-        if match := re.fullmatch(rf"(?:{name}\s*=\s*|[+-]{switch})({value})", option, re.IGNORECASE):
-            on = option[0] != "-" and match[1].lower() not in ("off", "no", "false", "0")
-            return switch, match[1] if switch != "KC" else ("+" if on else "-")
+    """The switch and the value of an option for animations, or None. Raises ValueError for a value that is none."""
+    for switch, (name, (expected, pattern)) in _FRAMES.items():
+        match = re.fullmatch(rf"(?:{name}\s*=|[+-]{switch})(.*)", option, re.IGNORECASE)
+        if match is None:
+            continue
+        value = match[1].strip().strip("\"'").strip()
+        if not re.fullmatch(pattern, value, re.IGNORECASE):
+            raise ValueError(f"{option!r}: expected {expected} ({name} or +{switch})")
+        on = option[0] != "-" and value.lower() not in ("off", "no", "false", "0")
+        return switch, value if switch != "KC" else ("+" if on else "-")
     return None
 
 

@@ -35,7 +35,7 @@ def with_photons_saved(source: Source, folder: Path) -> Source:
     includes = folder / "photons"
     includes.mkdir()
     loading = changed(source, lambda text: with_photons(text, f'load_file "{_PHOTONS}"'), includes)
-    return dataclasses.replace(loading, files=(*source.files, (_PHOTONS, folder / _PHOTONS)))
+    return dataclasses.replace(loading, files=(*loading.files, (_PHOTONS, folder / _PHOTONS)))
 
 
 def with_radiosity_saved(source: Source, width: int, height: int, folder: Path) -> Source:

@@ -38,11 +38,13 @@ _MESSAGES = "messages.txt"
 _KEPT = 1 << 20  # bytes of messages that are read, from their beginning and from their end
 _FILE_BLOCKS = 1 << 24  # of 512 bytes: 8 GiB; a scene may write files, and may do so for ever
 # The standard input of the shell is a pipe from us. A watcher reads it and so learns when we end, however that is:
-# then POV-Ray (which takes the shell's place, and its number with it) is killed and its folder removed.
+# then POV-Ray, which takes the shell's place and its number with it, is killed.
 _WATCHED = (
-    f'ulimit -f {_FILE_BLOCKS}; exec 3<&0; {{ read -r _ <&3; kill -KILL $$; rm -rf -- "$0"; }} >/dev/null 2>&1 & '
+    f"ulimit -f {_FILE_BLOCKS}; exec 3<&0; {{ read -r _ <&3; kill -KILL $$; }} >/dev/null 2>&1 & "
     'exec 3<&-; exec "$@" </dev/null'
 )
+# As deep, so that no name of a scene's that leads upwards ends where others may write.
+_DEPTH = Path(*["pmc"] * 8)
 
 
 @dataclass(frozen=True)
@@ -95,7 +97,7 @@ class Result:
 class Process:
     """POV-Ray under way in `folder`, with standard input closed, in a session of its own.
 
-    It ends with us at the latest, even if we are killed; `root` is then removed. `wait` or `kill` has to be called.
+    It ends with us at the latest, even if we are killed. `wait` or `kill` has to be called.
 
     Parameters
     ----------
@@ -107,8 +109,6 @@ class Process:
         Switches such as "+W640", after `-D -V -P` and `+WT1`.
     libraries
         Folders in which the scene finds its files; that of a scene file comes first by itself.
-    root
-        `folder`, or the folder of several around it.
     sandboxed
         Whether it runs without network and may write to `folder` alone; see `sandbox`. Its processor time is then not
         known.
@@ -122,7 +122,6 @@ class Process:
         scene: str | Path,
         arguments: Sequence[str] = (),
         libraries: Sequence[Path] = (),
-        root: Path | None = None,
         sandboxed: bool = False,
     ) -> None:
         self._folder = folder
@@ -150,7 +149,7 @@ class Process:
         self._began = time.perf_counter()
         with (folder / _MESSAGES).open("wb") as messages:
             self._process = subprocess.Popen(
-                ["/bin/sh", "-c", _WATCHED, str(root or folder), *command],
+                ["/bin/sh", "-c", _WATCHED, "sh", *command],
                 cwd=folder,
                 env=environment,
                 stdin=subprocess.PIPE,
@@ -298,20 +297,35 @@ def run(
 
 @contextlib.contextmanager
 def private_folder() -> Iterator[Path]:
-    """An empty folder that is removed afterwards, with all that is in it."""
-    with tempfile.TemporaryDirectory(prefix="pmc-povray-", ignore_cleanup_errors=True) as name:
+    """An empty folder that is removed afterwards, with all that is in it; even if this process is killed."""
+    place = _place()
+    with tempfile.TemporaryDirectory(dir=place.inner, ignore_cleanup_errors=True) as name:
         yield Path(name)
 
 
 class LastingFolder:
     """An empty folder, `path`. It is removed with all that is in it by `close`, which happens by itself when the object
-    goes or Python ends; and even if this process is killed, by another that waits for its end.
+    goes or Python ends; and even if this process is killed, see `_Place`.
     """
 
     def __init__(self) -> None:
-        self.path = Path(tempfile.mkdtemp(prefix="pmc-povray-"))
+        place = _place()
+        self.path = Path(tempfile.mkdtemp(dir=place.inner))
+        self.close = weakref.finalize(self, _remove, self.path, place, os.getpid())
+
+
+class _Place:
+    """Where all folders of this process are, for as long as there is one of them.
+
+    Another process waits for the end of ours, however it comes, and then removes it.
+    """
+
+    def __init__(self) -> None:
+        top = Path(tempfile.mkdtemp(prefix="pmc-povray-"))
+        self.inner = top / _DEPTH
+        self.inner.mkdir(parents=True)
         # Once more after a second, for what processes that end at the same time have still written.
-        command = ["/bin/sh", "-c", 'read -r _; rm -rf -- "$0"; sleep 1; rm -rf -- "$0"', str(self.path)]
+        command = ["/bin/sh", "-c", 'read -r _; rm -rf -- "$0"; sleep 1; rm -rf -- "$0"', str(top)]
         # In a session of its own, so that Ctrl-C does not reach it.
         guard = subprocess.Popen(
             command,
@@ -321,18 +335,27 @@ class LastingFolder:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        self.close = weakref.finalize(self, _remove, self.path, guard, os.getpid())
+        self._close = weakref.finalize(self, _remove, top, guard, os.getpid())
 
 
-def _remove(folder: Path, guard: subprocess.Popen[bytes], owner: int) -> None:
-    """A forked child, which has the object but not the folder, keeps off."""
+_places: weakref.WeakValueDictionary[tuple[int, str], _Place] = weakref.WeakValueDictionary()
+
+
+def _place() -> _Place:
+    key = (os.getpid(), tempfile.gettempdir())
+    return _places.get(key) or _places.setdefault(key, _Place())
+
+
+def _remove(folder: Path, keeper: _Place | subprocess.Popen[bytes], owner: int) -> None:
+    """A forked child, which has the object but not the folder, keeps off. `keeper`, if a process, has done its work."""
     if os.getpid() != owner:
         return
     shutil.rmtree(folder, ignore_errors=True)
-    guard.kill()
-    guard.wait()
-    if guard.stdin is not None:
-        guard.stdin.close()
+    if isinstance(keeper, subprocess.Popen):
+        keeper.kill()
+        keeper.wait()
+        if keeper.stdin is not None:
+            keeper.stdin.close()
 
 
 def read_text(file: Path) -> str:

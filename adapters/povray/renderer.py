@@ -123,19 +123,19 @@ class PovRayRenderer:
         self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
         check_size((self.width, self.height))
         self._source = source.of_file(file, given.libraries, given.switches, timeout, sandbox)
-        wanted = [(self.width, self.height)] if camera is None else []
-        wanted += [checks.small(self.width, self.height)] if camera is None and check else []
-        with contextlib.ExitStack() as stack:
-            found = [stack.enter_context(extracting(self._source, *size)) for size in wanted]
-            made = with_photons_saved(self._source, folder)  # meanwhile
-            made = with_radiosity_saved(made, self.width, self.height, folder)
-            cameras = [camera_of() for camera_of in found]
-        self.scene = file
         self._own_camera = camera is None
-        self.camera = cameras[0] if camera is None else _camera(camera)
+        full, small = (self.width, self.height), checks.small(self.width, self.height)
+        wanted = dict.fromkeys([full, *([small] if check else [])]) if self._own_camera else {}
+        with contextlib.ExitStack() as stack:
+            found = {size: stack.enter_context(extracting(self._source, *size)) for size in wanted}
+            made = with_photons_saved(self._source, folder)  # meanwhile
+            cameras = {size: camera_of() for size, camera_of in found.items()}
+        made = with_radiosity_saved(made, self.width, self.height, folder)
+        self.scene = file
+        self.camera = cameras[full] if camera is None else _camera(camera)
         self.agreement: checks.Agreement | None = None
-        if len(cameras) == 2:
-            self.agreement = checks.check(made, cameras[1], *wanted[1])
+        if check and small in cameras:
+            self.agreement = checks.check(made, cameras[small], *small)
         self.clamped = 0
         self._pool = Pool(sized(made, self.width, self.height, folder), processes or program.processors())
 

@@ -104,7 +104,13 @@ def changed(source: Source, change: Callable[[str], str], folder: Path) -> Sourc
         place.parent.mkdir(parents=True, exist_ok=True)
         write_text(place, _renamed(new[name], names))
     beside = dict(source.files) | {place.name: place for place in sorted(folder.iterdir())}
-    return dataclasses.replace(source, text=_renamed(change(source.text), names), files=tuple(beside.items()))
+    renamed = dict(source.renamed) | {ours: name for name, ours in names.items()}
+    return dataclasses.replace(
+        source,
+        text=_renamed(change(source.text), names),
+        files=tuple(beside.items()),
+        renamed=tuple(renamed.items()),
+    )
 
 
 def texts(source: Source) -> list[str]:

@@ -20,7 +20,8 @@ _FLAGS = ("+FE", f"+O{_IMAGE}", "-A", "-GD", "-GR", "-GS")
 class Source:
     """A scene's text with the file that it is from, the folders of its includes, switches, and the time a run has.
 
-    files: those of ours that are put beside the text, as "name" -> where it is. sandboxed: see `program.Process`.
+    files: those of ours that are put beside the text, as "name" -> where it is. renamed: those of them that have a name
+    of ours, as that -> the scene's. sandboxed: see `program.Process`.
     """
 
     file: Path
@@ -30,16 +31,15 @@ class Source:
     timeout: float
     files: tuple[tuple[str, Path], ...] = ()
     sandboxed: bool = False
+    renamed: tuple[tuple[str, str], ...] = ()
 
-    def start(
-        self, folder: Path, arguments: Sequence[str] = (), more: str = "", root: Path | None = None
-    ) -> program.Process:
+    def start(self, folder: Path, arguments: Sequence[str] = (), more: str = "") -> program.Process:
         """POV-Ray in `folder`, for the text and then `more`; by default it writes the `image`."""
         for name, place in self.files:
             (folder / name).symlink_to(place)
         arguments = (*_FLAGS, *self.switches, *arguments)
-        process = program.Process(folder, self.text + more, arguments, self.libraries, root, self.sandboxed)
-        process.names["scene.pov"] = str(self.file)
+        process = program.Process(folder, self.text + more, arguments, self.libraries, self.sandboxed)
+        process.names |= {"scene.pov": str(self.file), **dict(self.renamed)}
         return process
 
     def run(self, folder: Path, arguments: Sequence[str] = (), more: str = "") -> program.Result:

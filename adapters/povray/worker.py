@@ -127,7 +127,7 @@ class Pool:
     def _start(self, size: int) -> _Worker:
         folder = self._root.path / str(next(self._number))
         folder.mkdir()
-        worker = _Worker(self.source, folder, self._root.path, size)
+        worker = _Worker(self.source, folder, size)
         self._workers.append(worker)
         return worker
 
@@ -139,14 +139,14 @@ class Pool:
 class _Worker:
     """A process of POV-Ray with room for `size` rays, and its folder."""
 
-    def __init__(self, source: Source, folder: Path, root: Path, size: int) -> None:
+    def __init__(self, source: Source, folder: Path, size: int) -> None:
         self.size = size
         self._source, self._folder = source, folder
         os.mkfifo(folder / _GATE)
         self._gate: int | None = None
         self._given = 0
         self._until = 0.0
-        self._process = source.start(folder, (f"+W{size}", "+H1", f"+BS{_BLOCK}"), _ENTRY, root)
+        self._process = source.start(folder, (f"+W{size}", "+H1", f"+BS{_BLOCK}"), _ENTRY)
 
     @property
     def ended(self) -> bool:

@@ -28,9 +28,10 @@ class Output:
         self._images: ModuleType = load("pmc_sampler.eval.images", "writing images", "eval")
         self._options = options
         # The default's folder is where the user is, not where the scene is.
-        given = options.output or Path(
-            re.sub(r"\.(xml|gltf|glb|pov|ini)$", "", scene_path(options.scene).name) + ".exr"
-        )
+        name = re.sub(r"\.(xml|gltf|glb|pov|ini)$", "", scene_path(options.scene).name)
+        if section := re.search(r"\[([^\[\]/]+)\]$", options.scene):
+            name += f"-{section[1]}"
+        given = options.output or Path(f"{name}.exr")
         try:
             self._images.require()
             self.exr: Path = self._images.check_writable(given)

@@ -156,6 +156,26 @@ def test_included_cameras(source_of: Any, extract: Any, tmp_path: Path) -> None:
     assert sorted(path.name for path in folder.rglob("*")) == ["first.inc", "scène.pov", "second.inc", "sub"]
 
 
+def test_a_camera_that_is_called_done(source_of: Any, extract: Any) -> None:
+    """The end of what the scene writes down is no name of a variable, however slowly the rest is read."""
+    slow = "#local I = 0; #while (I < 300000) #local I = I + 1; #end"
+    text = f"#declare my_done = camera {{ location 7 }} #declare C = my_done; {slow} camera {{ C }}"
+    np.testing.assert_array_equal(extract(source_of(text), W, H).location, 7)
+
+
+def test_an_error_names_the_file_that_is_included(source_of: Any) -> None:
+    source = source_of("")
+    (source.file.parent.parent / "bad.inc").write_text("\n#local W = image_width;\nsphere { Nothing }")
+    from pmc_sampler.adapters.povray import prepare, program
+
+    source = dataclasses.replace(source, text='#include "../bad.inc"')
+    with program.private_folder() as place, program.private_folder() as folder:
+        sized = prepare.sized(dataclasses.replace(source, text=source.text), 64, 48, place)
+        assert sized.text != source.text
+        with pytest.raises(ValueError, match=r"File '\.\./bad\.inc' line 3: Parse Error"):
+            sized.run(folder, ("+W8", "+H6"))
+
+
 def test_cameras_included_from_outside(source_of: Any, extract: Any, tmp_path: Path) -> None:
     """By a path upwards, from another file there, and by an absolute one; one that has no camera stays where it is."""
     source = source_of("")
