@@ -75,15 +75,6 @@ def neyman_limit(s: ArrayLike) -> float:
     return float((values**2).mean()) / mean**2 if mean > 0.0 else 1.0
 
 
-def neyman_share(gain: float, limit: float) -> float:
-    """How much of the gain that :func:`neyman_limit` leaves a method reached: 0 as uniform sampling, 1 as the best.
-
-    ``gain`` is uniform sampling's error over the method's. ``(gain - 1) / (limit - 1)``; NaN where there is nothing to
-    gain.
-    """
-    return (gain - 1.0) / (limit - 1.0) if limit > 1.0 else float("nan")
-
-
 def slope_interval(budgets: Sequence[float], errors: ArrayLike) -> Interval:
     """Slope of log error against log budget, by least squares for each seed: median and interval over seeds.
 

@@ -12,7 +12,7 @@ from pmc_sampler.eval import baselines, metrics
 from pmc_sampler.eval.baselines import allocation
 from pmc_sampler.eval.baselines import sampler as ask_and_tell
 from pmc_sampler.eval.recorded import Recording
-from pmc_sampler.eval.statistics import neyman_limit, neyman_share
+from pmc_sampler.eval.statistics import neyman_limit
 
 from pmc_sampler import Budget, _core, luminance
 
@@ -210,13 +210,10 @@ def test_whole_numbers_of_samples(size: int) -> None:
     assert np.abs(total / 64 - shares).max() < 2 / 64
 
 
-def test_neyman_limit_and_share() -> None:
+def test_neyman_limit() -> None:
     assert neyman_limit(np.full((4, 4), 3.0)) == 1.0
     assert neyman_limit([0.0, 1.0]) == 2.0
     assert neyman_limit([0.0, 0.0]) == 1.0
-    assert neyman_share(1.0, 4.0) == 0.0
-    assert neyman_share(4.0, 4.0) == 1.0
-    assert np.isnan(neyman_share(1.0, 1.0))
 
 
 # --- What they gain --------------------------------------------------------------------------------------------------
