@@ -16,7 +16,7 @@ PYTEST_ARGS ?=
 FUZZ_SECONDS ?= 600
 FUZZ_ARGS ?=
 
-.PHONY: demo test test-long sanitize coverage fuzz bench lint types setup system-packages clean
+.PHONY: demo test test-long browser sanitize coverage fuzz bench lint types setup system-packages clean
 .DEFAULT_GOAL := test
 
 demo: setup
@@ -34,6 +34,10 @@ sanitize: setup
 
 coverage: setup
 	$(BIN)/pytest --cov $(PYTEST_ARGS)
+
+# The report in Chromium (apt install chromium).
+browser: setup
+	$(BIN)/pytest -m long tests/eval/test_report_browser.py $(PYTEST_ARGS)
 
 # Each reader of files for FUZZ_SECONDS, in its turn; `make FUZZ_ARGS="gltf image" fuzz` picks some.
 fuzz: setup
