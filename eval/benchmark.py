@@ -5,12 +5,13 @@ it stopped and repeats nothing. A row is found again by everything that determin
 budget, seed, reference and the code of the sampler.
 """
 
+import contextlib
 import hashlib
 import json
 import os
 import platform
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
@@ -22,6 +23,7 @@ from numpy.typing import NDArray
 
 import pmc_sampler
 from pmc_sampler import Budget, _core, render
+from pmc_sampler.deadline import Deadline
 from pmc_sampler.sampler import config_for
 
 from . import baselines, measures, metrics, references, results
@@ -66,6 +68,7 @@ class Job:
     versions: Mapping[str, str]
     reference: Reference
     recording: str | None
+    timeout: float | None = None
 
 
 @dataclass(frozen=True)
@@ -84,13 +87,15 @@ def run(
     *,
     cache: str | os.PathLike[str] | None = None,
     execute: Executor[tuple[str, Run], Outcome] = in_process,
+    timeout: float | None = None,
     log: Log = lambda line: None,
     progress: Progress = lambda fraction, note: None,
 ) -> None:
     """Do the runs of a suite that ``folder`` does not have, and those that failed in it.
 
     References and recordings go to ``cache`` (see :func:`pmc_sampler.eval.references.obtain`); each renderer is warmed
-    up before it is timed. A run that fails leaves a row with its `error`, and the others go on. ``log`` gets a line for
+    up before it is timed. A run that fails leaves a row with its `error`, and the others go on; so does one with a
+    batch of more than ``timeout`` seconds. ``log`` gets a line for
     each step, ``progress`` the share of the time that is expected in all. Raises
     :class:`pmc_sampler.eval.suite.BadSuiteError` for what can be known to fail before anything is rendered.
     """
@@ -120,7 +125,7 @@ def run(
         if not todo:
             continue
         try:
-            job = _prepare(suite, scene, renderers, versions[scene.name], kept, progress, clock)
+            job = _prepare(suite, scene, renderers, versions[scene.name], kept, timeout, progress, clock)
         except Exception as error:  # whatever a renderer raises: the other scenes can still be measured
             for run_id, one in todo:
                 row = _failure(suite, run_id, one, versions[scene.name], error)
@@ -186,6 +191,8 @@ def measure(job: Job, todo: tuple[str, Run]) -> Outcome:
     """Do one run; what goes wrong becomes its row's `error`."""
     run_id, one = todo
     try:
+        if _own_code() != job.versions["code"]:
+            raise RuntimeError("a worker has other code than the process that began: install the same on both")
         return _measured(job, run_id, one)
     except Exception as error:  # whatever a renderer or a sampler raises is this run's alone
         return Outcome(_failure(job.suite, run_id, one, job.versions, error))
@@ -200,7 +207,8 @@ def _measured(job: Job, run_id: str, one: Run) -> Outcome:
     else:
         spent = setup if job.suite.counts_setup(job.scene) else 0.0
         sampler = _sampler(job.suite, one, radiance, spent)
-        made, resolved = _sampled(sampler, radiance, spent), baselines.settings_of(sampler)
+        with _in_time(radiance, job.timeout) as call:
+            made, resolved = _sampled(sampler, call, spent), baselines.settings_of(sampler)
     white, reference = job.suite.white_luminance, job.reference
     limit = measures.neyman(radiance, reference, white, made.spp)
     noise = measures.reference_noise(reference, white)
@@ -312,6 +320,7 @@ def _prepare(
     renderers: Renderers,
     versions: Mapping[str, str],
     folder: Path,
+    timeout: float | None,
     progress: Progress,
     clock: Clock,
 ) -> Job:
@@ -332,19 +341,43 @@ def _prepare(
     else:
         recording = None
     if recording is not None:
-        return Job(suite, scene, renderers, versions, Recording(recording).reference, str(recording))
+        return Job(suite, scene, renderers, versions, Recording(recording).reference, str(recording), timeout)
     radiance = _load(scene, renderers, "sobol")
-    reference = references.obtain(
-        radiance,
-        radiance.width,
-        radiance.height,
-        scene.reference_spp,
-        _settings(scene, versions),
-        cache=folder,
-        noise=scene.reference_noise,
-        progress=shown("reference"),
-    )
-    return Job(suite, scene, renderers, versions, reference, None)
+    with _in_time(radiance, timeout) as call:
+        reference = references.obtain(
+            call,
+            radiance.width,
+            radiance.height,
+            scene.reference_spp,
+            _settings(scene, versions),
+            cache=folder,
+            noise=scene.reference_noise,
+            progress=shown("reference"),
+        )
+    return Job(suite, scene, renderers, versions, reference, None, timeout)
+
+
+@contextlib.contextmanager
+def _in_time(radiance: Any, timeout: float | None) -> Iterator[Any]:
+    """The renderer, whose batches are given up after ``timeout`` seconds, if there is one."""
+    if timeout is None:
+        yield radiance
+    else:
+        with contextlib.closing(Deadline(radiance, timeout)) as call:
+            yield _Timed(radiance, call)
+
+
+class _Timed:
+    """A renderer in all but its call."""
+
+    def __init__(self, radiance: Any, call: Deadline) -> None:
+        self._radiance, self._call = radiance, call
+
+    def __call__(self, batch: Any) -> Any:
+        return self._call(batch)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._radiance, name)
 
 
 def _unprepared(scene: Scene, versions: Mapping[str, str], folder: Path) -> int:
@@ -506,6 +539,9 @@ def fingerprint(files: Iterable[Path] = ()) -> str:
     for part in sorted(parts):
         digest.update(part.name.encode() + b"\0" + part.read_bytes())
     return digest.hexdigest()[:12]
+
+
+_own_code = lru_cache(fingerprint)
 
 
 @lru_cache

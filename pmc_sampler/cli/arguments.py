@@ -205,6 +205,9 @@ def _bench(p: argparse.ArgumentParser) -> None:
         help="folder of the results; what is missing in it is run",
     )
     p.add_argument("--cache", type=Path, metavar="DIR", help="folder of the references; default: the user's cache")
+    p.add_argument(
+        "--timeout", type=positive, metavar="S", help="a run with a batch that takes longer than S seconds has failed"
+    )
     p.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that does the runs, as tcp://HOST:8786")
 
 

@@ -47,6 +47,7 @@ def bench(options: argparse.Namespace) -> int:
                 benchmark.Renderers(adapters.load, adapters.version),
                 cache=options.cache,
                 execute=execute,
+                timeout=options.timeout,
                 log=_log,
                 progress=shown,
             )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -368,6 +369,36 @@ def test_no_more_error_than_the_references_is_a_dash(tmp_path: Path) -> None:
     assert line.startswith("| PMC | -0.01 | – | -0.02 | – | – | – |")
     assert "Least:" not in text
     assert "of so few seeds" in text
+
+
+def test_a_renderer_that_hangs_fails_its_runs(noisy: type, tmp_path: Path) -> None:
+    """The runs of one scene; those of the other go on."""
+
+    class Hanging(noisy):  # type: ignore[misc]
+        def __call__(self, batch: Any) -> Any:
+            if self.hangs:
+                time.sleep(3.0)
+            return super().__call__(batch)
+
+    def load(renderer: str, scene: str, *, sampler: str, size: tuple[int, int]) -> Any:
+        made = Hanging(*size)
+        made.hangs = scene == SUITE.scenes[1].source
+        return made
+
+    hooks = benchmark.Renderers(load, lambda renderer: "1")
+    benchmark.run(SUITE, results.Folder(tmp_path / "out"), hooks, cache=tmp_path / "cache", timeout=1.0)
+    found = results.load(tmp_path / "out")
+    assert {row["scene"] for row in found.failed} == {SUITE.scenes[1].name}
+    assert {row["error"] for row in found.failed} == {"the renderer gave no answer within 1 s"}
+    assert {row["scene"] for row in found.done} == {SUITE.scenes[0].name}
+
+
+def test_a_worker_with_other_code_is_refused(noisy: type, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(benchmark, "_own_code", lambda: "other")
+    benchmark.run(SUITE, results.Folder(tmp_path / "out"), Loader(noisy).hooks, cache=tmp_path / "cache")
+    found = results.load(tmp_path / "out")
+    assert found.done == []
+    assert "other code than the process that began" in found.failed[0]["error"]
 
 
 def test_a_folder_has_one_suite(rows: list[dict[str, Any]], finished: Path, noisy: type) -> None:
