@@ -6,7 +6,7 @@
 Cycles needs the package bpy, LuxCore pyluxcore, in this Python or in that of --python:
 `python3.11 -m venv peers && peers/bin/pip install bpy pyluxcore`. All render the same scene; each is measured against
 a reference of its own making. Runs are kept in peers.jsonl as they end; the same command goes on after an
-interruption. Without any peer the page is made again from what is there.
+interruption. Without any peer (`--peers` alone) ours is measured, and of the peers what is there is shown again.
 """
 
 from __future__ import annotations
@@ -71,6 +71,9 @@ def main(arguments: list[str] | None = None) -> int:
         for name in options.peers:
             with Peer(name, description, options.python) as peer:
                 found[name] = _study(name, peer.version, peer.render, options, log)
+        for name in PACKAGES if not options.peers else ():
+            if (kept := _kept(name, options, log)) is not None:
+                found[name] = kept
     except (PeerError, ValueError) as error:
         print(f"peers.py: {error}", file=sys.stderr)
         return 2
@@ -82,6 +85,13 @@ def main(arguments: list[str] | None = None) -> int:
     figure(options.output / "peers.png", rows, found)
     print(text)
     return 0
+
+
+def _kept(name: str, options: argparse.Namespace, log: Log) -> Reference | None:
+    """The reference of a peer's latest runs in the log, if it is still in the cache."""
+    rows = [row for row in log.rows if row["renderer"] == name and row["budget"] == options.spp and "seed" in row]
+    path = references.cache_folder() / f"{rows[-1]['reference']}.npz" if rows else None
+    return references.load(path) if path is not None and path.is_file() else None
 
 
 @dataclass
@@ -176,8 +186,9 @@ def _asked(
 
 def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequence[str]) -> str:
     """The Markdown page."""
+    peers = options.peers or [name for name in renderers if name != OURS]
     command = (
-        f"python benchmarks/peers.py --peers {' '.join(options.peers)} --spp {options.spp} --seeds {options.seeds} "
+        f"python benchmarks/peers.py --peers {' '.join(peers)} --spp {options.spp} --seeds {options.seeds} "
         f"--own-seeds {options.own_seeds}"
     )
     releases = sorted({row["version"] for row in rows if row["renderer"] != OURS})
