@@ -387,7 +387,7 @@ def _unprepared(scene: Scene, versions: Mapping[str, str], folder: Path) -> int:
     if scene.recorded_spp is not None:
         return 0 if _recording(scene, versions, folder).is_file() else scene.recorded_spp
     spp, noise = scene.reference_spp, scene.reference_noise
-    found = references.is_cached(*scene.size, spp, _settings(scene, versions), cache=folder, noise=noise)
+    found = references.is_cached(folder, *scene.size, spp, _settings(scene, versions), noise)
     return 0 if found else spp
 
 

@@ -47,7 +47,7 @@ def _preamble(found: Results) -> str:
         f"{suite.seeds} seeds.{incomplete} {named}. {machines}. "
         f"{rejected} samples were rejected as not finite or negative.\n\n"
         f"Factors are the error of *{suite.baseline}* over the method's, taken seed by seed: median and 95 % bootstrap "
-        f"interval{'' if suite.seeds >= statistics.ENOUGH else statistics.FEW}. A reference's noise is subtracted from "
+        f"interval{statistics.few(suite.seeds)}. A reference's noise is subtracted from "
         f"errors, and where nothing is left there is a dash. Luminance 1 is {suite.white_luminance:g} cd/m2. MSE "
         "is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`. Bias is of mean luminance, with its standard error "
         "over seeds; before correction: of the plain mean of all samples. Seconds are medians; renderer and sampler "

@@ -10,6 +10,7 @@ from pmc_sampler import luminance
 
 from . import metrics
 from .baselines.allocation import threshold_deviation
+from .compare import Noise
 from .references import Reference
 from .statistics import neyman_limit
 
@@ -52,8 +53,8 @@ def measure(image: Image, reference: Reference, white_luminance: float, names: I
 
 def reference_noise(reference: Reference, white_luminance: float) -> dict[str, float]:
     """What the reference's own variance adds to the squared errors, and takes part in the bias: what is subtracted."""
-    same = MEASURES["tvi_error"](reference.mean, reference, white_luminance)
-    return {"mse": float(reference.variance.mean()), "tvi_error": -same, "bias": reference.bias_error}
+    added = Noise(reference.variance, reference.luminance_variance).added(reference.mean, white_luminance)
+    return {"mse": added["MSE"], "tvi_error": added["tvi error"], "bias": reference.bias_error}
 
 
 def neyman(radiance: Any, reference: Reference, white_luminance: float, spp: float) -> dict[str, float | None]:

@@ -24,6 +24,8 @@ from pmc_sampler.sampler import sampler_for
 
 SEED = 0x5EED_0000
 """Seed of the first replicate; measured runs use small seeds, so none shares a reference's samples."""
+REPLICATES = 16
+"""Uniform renders that a reference is the mean of, from whose spread its own noise is known."""
 
 
 class BadReferenceError(ValueError):
@@ -115,7 +117,7 @@ def obtain(
     settings: Mapping[str, Any],
     *,
     cache: str | os.PathLike[str] | None = None,
-    replicates: int = 16,
+    replicates: int = REPLICATES,
     noise: float | None = None,
     save_seconds: float = 60.0,
     progress: Callable[[float], None] | None = None,
@@ -166,7 +168,7 @@ def replicated(
     settings: Mapping[str, Any],
     *,
     cache: str | os.PathLike[str] | None = None,
-    replicates: int = 16,
+    replicates: int = REPLICATES,
     noise: float | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Reference:
@@ -183,9 +185,9 @@ def replicated(
     if noise is not None and not noise > 0.0:
         raise BadReferenceError(f"a reference's noise must be above 0, for example 0.01; {noise!r} came.")
     full = _described(width, height, spp, settings, replicates, noise)
-    name = key(full)
     folder = Path(cache) if cache is not None else cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
+    name = key(full)
     path = folder / f"{name}.npz"
     if path.is_file():
         return load(path)
@@ -211,18 +213,10 @@ def replicated(
 
 
 def is_cached(
-    width: int,
-    height: int,
-    spp: int,
-    settings: Mapping[str, Any],
-    *,
-    cache: str | os.PathLike[str] | None = None,
-    replicates: int = 16,
-    noise: float | None = None,
+    folder: Path, width: int, height: int, spp: int, settings: Mapping[str, Any], noise: float | None = None
 ) -> bool:
-    """Whether :func:`obtain` would find the reference of these arguments, whole."""
-    folder = Path(cache) if cache is not None else cache_folder()
-    return (folder / f"{key(_described(width, height, spp, settings, replicates, noise))}.npz").is_file()
+    """Whether :func:`obtain` would find the reference of these arguments, whole, in the cache ``folder``."""
+    return (folder / f"{key(_described(width, height, spp, settings, REPLICATES, noise))}.npz").is_file()
 
 
 def _described(

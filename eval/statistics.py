@@ -9,7 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 ENOUGH = 6
 """Seeds from which a bootstrap interval of a median holds it about as often as it says; of 3 it does 7 times in 10."""
-FEW = ", which of so few seeds is little more than their range"
+
+
+def few(seeds: int) -> str:
+    """What is to be said after the word interval where there are too few seeds for one; else nothing."""
+    return "" if seeds >= ENOUGH else ", which of so few seeds is little more than their range"
 
 
 @dataclass(frozen=True)

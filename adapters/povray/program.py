@@ -335,7 +335,7 @@ class _Place:
             stderr=subprocess.DEVNULL,
             start_new_session=True,
         )
-        self._close = weakref.finalize(self, _remove, top, guard, os.getpid())
+        self._close = weakref.finalize(self, _leave, top, guard, os.getpid())
 
 
 _places: weakref.WeakValueDictionary[tuple[int, str], _Place] = weakref.WeakValueDictionary()
@@ -346,16 +346,20 @@ def _place() -> _Place:
     return _places.get(key) or _places.setdefault(key, _Place())
 
 
-def _remove(folder: Path, keeper: _Place | subprocess.Popen[bytes], owner: int) -> None:
-    """A forked child, which has the object but not the folder, keeps off. `keeper`, if a process, has done its work."""
+def _remove(folder: Path, place: _Place, owner: int) -> None:
+    """A forked child, which has the object but not the folder, keeps off. Until then `place` is there."""
+    if os.getpid() == owner:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _leave(top: Path, guard: subprocess.Popen[bytes], owner: int) -> None:
     if os.getpid() != owner:
         return
-    shutil.rmtree(folder, ignore_errors=True)
-    if isinstance(keeper, subprocess.Popen):
-        keeper.kill()
-        keeper.wait()
-        if keeper.stdin is not None:
-            keeper.stdin.close()
+    shutil.rmtree(top, ignore_errors=True)
+    guard.kill()
+    guard.wait()
+    if guard.stdin is not None:
+        guard.stdin.close()
 
 
 def read_text(file: Path) -> str:

@@ -76,8 +76,7 @@ def make(method: Mapping[str, Any], radiance: Any, budget: Budget, seed: int) ->
 def settings_of(sampler: Any) -> dict[str, Any]:
     """Every setting of a sampler that :func:`make` has made, with what it stands for in place of a default."""
     if isinstance(sampler, Sampler):
-        used = sampler.config.resolved(sampler.width, sampler.height)
-        return used.to_dict()
+        return sampler.config.resolved(sampler.width, sampler.height).to_dict()
     return dict(sampler.settings)
 
 

@@ -141,11 +141,9 @@ def order(gains: list[tuple[float, Interval, str]], name: str, seeds: int) -> Cl
     figures = ", ".join(f"{scene}: {100 * share:.0f} % and {_spelt(gain)}" for share, gain, scene in ranked)
     steps = list(itertools.pairwise(gain for _, gain, _ in ranked))
     held = None
-    if seeds < ENOUGH:
-        pass
-    elif all(easier.low > harder.high for easier, harder in steps):
+    if seeds >= ENOUGH and all(easier.low > harder.high for easier, harder in steps):
         held = True
-    elif any(easier.high < harder.low for easier, harder in steps):
+    elif seeds >= ENOUGH and any(easier.high < harder.low for easier, harder in steps):
         held = False
     return Claim(
         "Less gain where much of the image is hard",

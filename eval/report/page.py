@@ -36,7 +36,7 @@ def page(found: Results) -> str:
     return environment.get_template("template.html").render(
         suite=found.suite,
         summary=words.summary(found),
-        few="" if found.suite.seeds >= statistics.ENOUGH else statistics.FEW,
+        few=statistics.few(found.suite.seeds),
         claims=claims(found),
         provenance=words.provenance(found),
         commands=[

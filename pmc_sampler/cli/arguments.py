@@ -15,6 +15,7 @@ METHODS = ("pmc", "pmc-paper", "pt", NATIVE)
 DEFAULT_RENDERER = "opencl"
 RENDERERS = {".pov": "povray", ".ini": "povray"}  # of files that one renderer alone reads
 DEFAULT_SPP = 64
+_SECTION = re.compile(r"(\.ini)\[([^\[\]]*)\]$", re.IGNORECASE)
 
 
 class Parser(argparse.ArgumentParser):
@@ -218,7 +219,13 @@ def renderer_for(scene: str) -> str:
 
 def scene_path(scene: str) -> Path:
     """The file of a scene that is one: without the section of an INI file, as in ``scene.ini[final]``."""
-    return Path(re.sub(r"(?i)(\.ini)\[[^\[\]]*\]$", r"\1", scene))
+    return Path(_SECTION.sub(r"\1", scene))
+
+
+def scene_section(scene: str) -> str:
+    """The section of an INI file that a scene names; empty if it names none."""
+    match = _SECTION.search(scene)
+    return match[2] if match else ""
 
 
 def size(text: str) -> tuple[int, int]:

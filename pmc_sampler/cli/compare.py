@@ -46,8 +46,8 @@ def compare(options: argparse.Namespace) -> int:
             "test": str(options.test),
             "reference": str(options.reference),
             "decoded_from_srgb": decoded,
+            "subtracted": subtracted,
         }
-        summary["subtracted"] = subtracted
         print(json.dumps({**summary, "metrics": rows, "maps": [str(file) for file in files]}, indent=2))
         return 0
     _print(measures)

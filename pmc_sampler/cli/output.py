@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pmc_sampler import Sampler, __version__
 
-from .arguments import scene_path
+from .arguments import scene_path, scene_section
 from .errors import CommandError
 from .optional import load
 
@@ -29,8 +29,8 @@ class Output:
         self._options = options
         # The default's folder is where the user is, not where the scene is.
         name = re.sub(r"\.(xml|gltf|glb|pov|ini)$", "", scene_path(options.scene).name)
-        if section := re.search(r"\[([^\[\]/]+)\]$", options.scene):
-            name += f"-{section[1]}"
+        if (section := scene_section(options.scene)) and "/" not in section:
+            name += f"-{section}"
         given = options.output or Path(f"{name}.exr")
         try:
             self._images.require()
