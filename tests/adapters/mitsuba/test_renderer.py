@@ -74,13 +74,13 @@ def test_a_value_depends_on_its_sample_alone(small_scene: Any, batch_of: Any, ki
 
 def test_one_recording_serves_all_batches(small_scene: Any, batch_of: Any) -> None:
     """Exact: neither length nor alignment of a batch's arrays makes Dr.Jit record again; length one has its
-    own shape. The first length is a prime, lest it be that of one of Dr.Jit's own tables, as 32 * 32 * 3 is after some
-    scenes: it would be recorded anew."""
+    own shape. The lengths are primes, and 16 times one, lest one be that of one of Dr.Jit's own tables, as 32 * 32 * 3
+    is after some scenes: it would be recorded anew."""
     r = renderer(small_scene())
     batch = batch_of(32, 32, 3, 2)
     r(batch[:3067])
     recordings = r._evaluate.recordings
-    for start, length in ((0, 3000), (1, 2999), (3, 70), (2, 1500), (7, 1025)):
+    for start, length in ((0, 16 * 181), (1, 2999), (3, 71), (2, 1499), (7, 1031)):
         r(batch[start : start + length])
     assert r._evaluate.recordings == recordings
 
