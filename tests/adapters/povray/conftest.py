@@ -85,6 +85,19 @@ def running(temporary: Path) -> Callable[[], list[str]]:
 
 
 @pytest.fixture
+def appears(running: Callable[[], list[str]]) -> Callable[[], bool]:
+    """A function that says whether a process is there. While it becomes another program it has no command line."""
+
+    def wait() -> bool:
+        until = time.perf_counter() + 5
+        while not running() and time.perf_counter() < until:
+            time.sleep(0.01)
+        return bool(running())
+
+    return wait
+
+
+@pytest.fixture
 def clean(temporary: Path, running: Callable[[], list[str]]) -> Iterator[None]:
     """Fails a test after which a process or a file of POV-Ray's is left. What was killed needs some milliseconds."""
     yield
