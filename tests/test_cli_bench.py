@@ -103,7 +103,11 @@ def test_an_interrupt_leaves_what_can_be_resumed(
 ) -> None:
     """In the middle of the reference (16 batches), and of the runs."""
     monkeypatch.setattr(Lamp, "stop", (batch, number))
-    assert main(WORDS) == 130
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell starts its background without it
+    try:
+        assert main(WORDS) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert capfd.readouterr().err.splitlines()[-1] == (
         "pmc-sampler bench: interrupted; out holds the runs until then, and the same command goes on from there."
     )
