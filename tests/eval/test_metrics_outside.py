@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from pmc_sampler.eval import images, metrics
 
-from pmc_sampler import luminance
+from pmc_sampler import tvi
 
 pytestmark = pytest.mark.needs("skimage", "flip_evaluator", "OpenImageIO", "colour")
 
@@ -114,11 +114,36 @@ def test_delta_e_of_white_and_black(rgb: list[float], other: list[float], expect
     assert found == pytest.approx(expected, abs=0.02)
 
 
-def test_pu21_ssim_is_of_encoded_luminance(test_image: np.ndarray, reference: np.ndarray) -> None:
-    from skimage.metrics import structural_similarity
+def test_ssim_of_its_author(encoded: list[np.ndarray]) -> None:
+    """`ssim_index(t, r, [0.01 0.03], fspecial('gaussian', 11, 1.5), 255)` for the three channels of t.png and r.png.
 
-    a, b = (metrics.pu21_encode(50.0 * luminance(image.astype(float))) for image in (test_image, reference))
-    window = {"gaussian_weights": True, "sigma": 1.5, "use_sample_covariance": False}
-    expected = structural_similarity(a, b, data_range=256.0, **window)
-    assert metrics.pu21_ssim(test_image, reference, white_luminance=50.0) == pytest.approx(expected)
-    assert metrics.pu21_ssim(test_image, reference) != pytest.approx(expected, abs=1e-4)
+    ssim_index.m of Z. Wang, version 1.0 (as in github.com/gpeyre/matlab-toolboxes, commit 0cd622c), in GNU Octave 7.3
+    with its package image 2.14: mean 0.8561810.
+    """
+    assert metrics.ssim(*encoded) == pytest.approx(0.8561810, abs=6e-8)
+
+
+def test_pu21_ssim_of_their_authors(test_image: np.ndarray, reference: np.ndarray) -> None:
+    """`ssim_index(pu.encode(t), pu.encode(r), [0.01 0.03], fspecial('gaussian', 11, 1.5), 256)`: 0.8486658.
+
+    For luminances t and r in cd/m2, white being 100, by the two programs named above.
+    """
+    assert metrics.pu21_ssim(test_image, reference, white_luminance=100.0) == pytest.approx(0.8486658, abs=6e-8)
+    assert metrics.pu21_ssim(test_image, reference, white_luminance=50.0) != pytest.approx(0.8486658, abs=1e-4)
+
+
+def test_thresholds_of_pcond() -> None:
+    """`pcond -l -s -x map.txt L.hdr` (Radiance, of pyradiance 1.3.1) of images of one luminance L in cd/m2.
+
+    By -l and -s it scales an image by the threshold at the display's luminance over that at the image's (Ward Larson
+    et al. 1997), and writes both luminances to map.txt, with seven digits: their ratio is the inverse of the threshold,
+    but for a factor common to all. Below 0.0137 cd/m2 pcond gives no number.
+    """
+    world = [0.01369929, 0.02739859, 0.05479717, 0.2191887, 0.8767548, 1.75351, 7.014038, 28.05615, 112.2246, 897.7969]
+    scale = [281.6151, 163.2916, 86.94611, 21.73653, 5.434132, 4.029588, 2.168508, 0.9424158, 0.3075533, 0.03844415]
+    products = tvi(np.array(world)) * scale
+    np.testing.assert_allclose(products, products[0], rtol=1e-6)
+    for level in world:  # the metric takes them as they are
+        grey = np.full((4, 4, 3), level / 100.0)
+        error = metrics.tvi_error(grey * 1.01, grey, white_luminance=100.0)
+        assert error == pytest.approx((0.01 * level / float(tvi(level))) ** 2, rel=1e-5)
