@@ -5,8 +5,9 @@
 
 Cycles needs the package bpy, LuxCore pyluxcore, in this Python or in that of --python:
 `python3.11 -m venv peers && peers/bin/pip install bpy pyluxcore`. All render the same scene; each is measured against
-a reference of its own making. Runs are kept in peers.jsonl as they end; the same command goes on after an
-interruption. Without any peer (`--peers` alone) ours is measured, and of the peers what is there is shown again.
+a reference of its own making. Ours is measured on a recording of its samples, too, whose mean is known exactly. Runs
+are kept in peers.jsonl as they end; the same command goes on after an interruption. Without any peer (`--peers` alone)
+ours is measured, and of the peers what is there is shown again.
 """
 
 from __future__ import annotations
@@ -23,19 +24,21 @@ from typing import Any
 import numpy as np
 from pmc_sampler.adapters import load, version
 from pmc_sampler.adapters.opencl.load import scene_of
-from pmc_sampler.eval import references, statistics
+from pmc_sampler.eval import measures, references, statistics
 from pmc_sampler.eval.benchmark import fingerprint
 from pmc_sampler.eval.metrics import WHITE_LUMINANCE
 from pmc_sampler.eval.peers import study
 from pmc_sampler.eval.peers.process import PACKAGES, Peer, PeerError, Picture
 from pmc_sampler.eval.peers.scene import describe
+from pmc_sampler.eval.recorded import Recording, record
 from pmc_sampler.eval.references import Reference
+from pmc_sampler.eval.report.plots import label
 
 from pmc_sampler import Budget, Config, render
 from pmc_sampler.cli.arguments import size
 
-OURS = "opencl"
-TITLES = {"cycles": "Cycles", "luxcore": "LuxCore", OURS: "our OpenCL tracer"}
+OURS, RECORDED = "opencl", "recorded"
+TITLES = {"cycles": "Cycles", "luxcore": "LuxCore", OURS: "our OpenCL tracer", RECORDED: "our tracer, recorded"}
 UNIFORM: dict[str, Any] = {}
 # Of each renderer, what is compared with its uniform sampling. Cycles stops pixels one by one: `most` is the largest
 # count of a pixel as a multiple of the budget, `min_samples` the least, and the noise threshold is sought that meets
@@ -53,7 +56,9 @@ ADAPTIVE: dict[str, tuple[dict[str, Any], ...]] = {
         {"strength": 0.95, "warmup": 16, "step": 16, "gamma": 2.2},
     ),
     OURS: ({"sampler": "PMC"},),
+    RECORDED: ({"sampler": "PMC"},),
 }
+_PER_PIXEL = 4096  # recorded samples: more than a pixel gets, so that none is taken twice
 _FINER = 16  # of our reference: the bias of PMC is so small that the error of a peer's would hide it
 COLUMNS = ("renderer", "sampling", "spp", "MSE", "MSE factor", "tvi error", "tvi factor", "bias %")
 COLUMNS += ("reference's error %", "seconds")
@@ -67,10 +72,15 @@ def main(arguments: list[str] | None = None) -> int:
     log = Log(options.output / "peers.jsonl")
     found: dict[str, Reference] = {}
     try:
-        found[OURS] = _study(OURS, version("opencl"), _ours(options), options, log)
+        release = version(OURS)
+        live = _ours(load(OURS, options.scene, size=options.size))
+        found[OURS] = _study(OURS, release, live, _reference(OURS, release, live, options), options, log)
+        recording = _recording(release, options)
+        found[RECORDED] = _study(RECORDED, release, _ours(recording), recording.reference, options, log)
         for name in options.peers:
             with Peer(name, description, options.python) as peer:
-                found[name] = _study(name, peer.version, peer.render, options, log)
+                reference = _reference(name, peer.version, peer.render, options)
+                found[name] = _study(name, peer.version, peer.render, reference, options, log)
         for name in PACKAGES if not options.peers else ():
             if (kept := _kept(name, options, log)) is not None:
                 found[name] = kept
@@ -117,53 +127,70 @@ class Log:
         return row
 
 
-def _ours(options: argparse.Namespace) -> Rendered:
-    radiance = load(OURS, options.scene, size=options.size)
+def _ours(radiance: Any) -> Rendered:
+    """Our samplers on a renderer."""
 
     def rendered(samples: int, seed: int, settings: Mapping[str, Any]) -> Picture:
         config = Config() if settings else Config.uniform()
-        made = render(radiance, *options.size, Budget(spp=samples), config, seed=seed)
+        made = render(radiance, radiance.width, radiance.height, Budget(spp=samples), config, seed=seed)
         return Picture(made.film.mean, made.film.samples, made.seconds["total"])
 
     return rendered
 
 
-def _study(name: str, release: str, rendered: Rendered, options: argparse.Namespace, log: Log) -> Reference:
-    """Do what is missing of a renderer's runs; its reference."""
+def _recording(release: str, options: argparse.Namespace) -> Recording:
+    """The samples of our tracer, recorded where the cache has none."""
+    own = {**references.identify(options.scene, OURS, release), "size": options.size, "spp": _PER_PIXEL}
+    path = references.cache_folder() / f"{references.key(own)}.h5"
+    if not path.is_file():
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _say(f"{TITLES[OURS]}: recording of {_PER_PIXEL} samples a pixel")
+        radiance = load(OURS, options.scene, size=options.size)
+        record(radiance, *options.size, _PER_PIXEL, path, seed=references.SEED, settings=own)
+    return Recording(path)
+
+
+def _reference(name: str, release: str, rendered: Rendered, options: argparse.Namespace) -> Reference:
+    """A uniform reference of a renderer's own making."""
     width, height = options.size
     spp = options.reference_spp * (_FINER if name == OURS else 1)
-    own = references.identify(options.scene, name, release)
 
     def replicate(seed: int, each: int, state: Path, share: Callable[[float], None]) -> tuple[Any, int]:
         return rendered(each, seed, UNIFORM).rgb, 0
 
-    reference = references.replicated(
+    return references.replicated(
         replicate,
         width,
         height,
         spp,
-        own,
+        references.identify(options.scene, name, release),
         replicates=spp // options.spp,
         progress=lambda share: _say(f"{TITLES[name]}: reference, {share:.0%}"),
     )
+
+
+def _study(
+    name: str, release: str, rendered: Rendered, reference: Reference, options: argparse.Namespace, log: Log
+) -> Reference:
+    """Do what is missing of a renderer's runs; its reference."""
     shared = {"renderer": name, "version": release, "scene": options.scene, "reference": reference.key}
     methods = [UNIFORM, *ADAPTIVE[name]]
     known = {**shared, "budget": options.spp}
-    if name == OURS:
+    if name in (OURS, RECORDED):
         known["code"] = fingerprint()
     asked = [_asked(known, settings, rendered, log) for settings in methods]
     for seed in range(1, _seeds(options, name) + 1):
         for settings, (samples, given) in zip(methods, asked, strict=True):
             _say(f"{TITLES[name]}: seed {seed}, {_settings(settings)}")
             log.once(
-                {**known, "method": settings, "samples": samples, "settings": given, "seed": seed},
+                {**known, "method": settings, "samples": samples, "settings": given, "seed": seed, "metrics": "all"},
                 lambda: study.row(rendered(samples, seed, given), reference, WHITE_LUMINANCE),  # noqa: B023
             )
     return reference
 
 
 def _seeds(options: argparse.Namespace, name: str) -> int:
-    return int(options.own_seeds if name == OURS else options.seeds)
+    return int(options.own_seeds if name in (OURS, RECORDED) else options.seeds)
 
 
 def _asked(
@@ -186,12 +213,12 @@ def _asked(
 
 def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequence[str]) -> str:
     """The Markdown page."""
-    peers = options.peers or [name for name in renderers if name != OURS]
+    peers = options.peers or [name for name in renderers if name in PACKAGES]
     command = (
         f"python benchmarks/peers.py --peers {' '.join(peers)} --spp {options.spp} --seeds {options.seeds} "
         f"--own-seeds {options.own_seeds}"
     )
-    releases = sorted({row["version"] for row in rows if row["renderer"] != OURS})
+    releases = sorted({row["version"] for row in rows if row["renderer"] in PACKAGES})
     lines = [
         "# Adaptive sampling of production renderers, beside PMC",
         "",
@@ -205,8 +232,9 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
         "seed: median and 95 % bootstrap interval. Samples per pixel are as the renderer counted them, and differ a",
         "little; errors count as falling in proportion to them. Each renderer is measured against a uniform reference",
         f"of its own of {options.reference_spp} samples a pixel ({_FINER} times as many for ours), of other seeds,",
-        "whose noise is subtracted from the errors. MSE is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`, white",
-        f"is {WHITE_LUMINANCE:g} cd/m2.",
+        "whose noise is subtracted from the errors; the recording of our tracer, of "
+        f"{_PER_PIXEL} samples a pixel, has an exact mean. MSE is of linear RGB; tvi error is",
+        f"`mean((dY / tvi(Y))^2)`, white is {WHITE_LUMINANCE:g} cd/m2.",
         "Bias is of mean luminance, with its standard error over seeds; the reference's own is in the next column.",
         "Seconds are medians, on a machine that did other things too.",
         "",
@@ -216,7 +244,24 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
     for name in renderers:
         for settings in (UNIFORM, *ADAPTIVE[name]):
             lines.append(_line(rows, name, settings))
-    return "\n".join([*lines, "", *_verdict(rows, renderers)]) + "\n"
+    return "\n".join([*lines, "", *_others(rows, renderers), "", *_verdict(rows, renderers)]) + "\n"
+
+
+def _others(rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
+    """A table of the other metrics: medians over seeds, of uniform sampling and, after it, of each adaptive setting."""
+    names = [name for name in measures.DEFAULT if name not in study.ERRORS]
+    lines = [
+        "All other metrics, medians over seeds at the samples that were taken, with the noise of each one's reference:",
+        "",
+        f"| renderer | sampling | {' | '.join(label(name) for name in names)} |",
+        "|" + "---|" * (2 + len(names)),
+    ]
+    for renderer in renderers:
+        for settings in (UNIFORM, *ADAPTIVE[renderer]):
+            own = _of(rows, renderer, settings)
+            cells = [f"{np.median([row[name] for row in own]):.3g}" for name in names]
+            lines.append(f"| {TITLES[renderer]} | {_settings(settings)} | {' | '.join(cells)} |")
+    return lines
 
 
 def _line(rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> str:
@@ -234,20 +279,20 @@ def _line(rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> 
 def _verdict(rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
     """Whether PMC gains more than each peer by the best of its settings, error by error, and at less bias."""
     lines = []
-    (pmc,) = ADAPTIVE[OURS]
-    for name in renderers:
-        if name == OURS:
-            continue
+    for name in [name for name in renderers if name in PACKAGES]:
         base = _of(rows, name, UNIFORM)
         for error, title in study.ERRORS.items():
             groups = [(settings, _of(rows, name, settings)) for settings in ADAPTIVE[name]]
             settings, own = max(groups, key=lambda group: study.gains(group[1], base, error).median)
-            ours = _of(rows, OURS, pmc)
-            gain = study.gains(ours, _of(rows, OURS, UNIFORM), error)
             theirs = study.gains(own, base, error)
+            ours = []
+            for which in (OURS, RECORDED):
+                pmc = _of(rows, which, ADAPTIVE[which][0])
+                gain = study.gains(pmc, _of(rows, which, UNIFORM), error)
+                ours.append(f"{_interval(gain)} at a bias of {_bias(pmc)} %")
             lines.append(
-                f"* {title}: PMC's factor is {_interval(gain)}, the best of {TITLES[name]} {_interval(theirs)} "
-                f"({_settings(settings)}). Bias: {_bias(ours)} % and {_bias(own)} %."
+                f"* {title}: PMC's factor is {ours[0]}, on the recording {ours[1]}; the best of {TITLES[name]} "
+                f"{_interval(theirs)} at {_bias(own)} % ({_settings(settings)})."
             )
     return ["The best setting of a peer is chosen from the same runs, to its advantage.", "", *lines]
 

@@ -11,16 +11,17 @@ from .process import Picture
 Row = dict[str, Any]
 
 ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
+"""The squared errors, whose noise of the reference is subtracted and which fall in proportion to the samples."""
 
 PILOT_SEED = 0x5EED_FF00
 """Of the renders that look for a threshold; measured runs have small seeds, and references their own."""
 
 
 def row(picture: Picture, reference: Reference, white_luminance: float) -> Row:
-    """The figures of a run: errors, bias of mean luminance, achieved samples per pixel, seconds."""
+    """The figures of a run: all metrics, bias of mean luminance, achieved samples per pixel, seconds."""
     return {
         "spp": picture.spp,
-        **measures.measure(picture.rgb, reference, white_luminance, ERRORS),
+        **measures.measure(picture.rgb, reference, white_luminance, measures.DEFAULT),
         "bias": metrics.bias(picture.rgb, reference.mean),
         "reference_bias": reference.bias_error,
         "seconds": picture.seconds,

@@ -1,4 +1,4 @@
-// Fixed-size zeroed storage. calloc hands out untouched zero pages, so a large film costs its memory only where samples fall.
+// Storage without initialisation beyond zeros.
 #pragma once
 
 #include <cstddef>
@@ -7,20 +7,78 @@
 #include <new>
 #include <span>
 #include <type_traits>
+#include <utility>
+
+#if defined(__linux__)
+#include <sys/mman.h>
+#endif
 
 namespace pmc {
 
+// Bytes of no value, or zeros. A large block asks for huge pages, where the system has them (Linux): the film is larger than the
+// caches, samples jump about in it, and with pages of 4 KiB the translation of addresses, and above all the first touch of every
+// page, cost as much as what is computed.
+class Block {
+public:
+    Block() = default;
+    Block(std::size_t bytes, bool zeroed) {
+#if defined(__linux__)
+        if (bytes >= huge) {
+            mapped_ = bytes + huge;
+            block_ = mmap(nullptr, mapped_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
+            if (block_ == MAP_FAILED) throw std::bad_alloc();
+            data_ = align(huge, bytes, mapped_);
+            madvise(data_, bytes, MADV_HUGEPAGE);  // where it is refused, small pages do
+            return;
+        }
+#endif
+        block_ = zeroed ? std::calloc(bytes + line, 1) : std::malloc(bytes + line);
+        if (!block_) throw std::bad_alloc();
+        data_ = align(line, bytes, bytes + line);
+    }
+    Block(Block&& other) noexcept { swap(other); }
+    Block& operator=(Block&& other) noexcept {
+        Block old;
+        old.swap(*this);
+        swap(other);
+        return *this;
+    }
+    ~Block() {
+#if defined(__linux__)
+        if (mapped_) {
+            munmap(block_, mapped_);
+            return;
+        }
+#endif
+        std::free(block_);
+    }
+    void* data() const { return data_; }
+
+private:
+    static constexpr std::size_t line = 64;  // elements of 64 bytes then lie in one cache line each
+    static constexpr std::size_t huge = std::size_t(2) << 20;
+
+    void* align(std::size_t alignment, std::size_t bytes, std::size_t room) const {
+        void* start = block_;
+        return std::align(alignment, bytes, start, room);
+    }
+    void swap(Block& other) {
+        std::swap(block_, other.block_);
+        std::swap(data_, other.data_);
+        std::swap(mapped_, other.mapped_);
+    }
+
+    void *block_ = nullptr, *data_ = nullptr;
+    std::size_t mapped_ = 0;
+};
+
+// Fixed-size zeroed storage. A large film costs its memory only where samples fall: pages come into being when they are touched.
 template <class T>
 class Zeroed {
     static_assert(std::is_trivially_copyable_v<T>);
 
 public:
-    explicit Zeroed(std::size_t size) : size_(size), block_(std::calloc(size * sizeof(T) + line, 1)) {
-        if (!block_) throw std::bad_alloc();
-        void* start = block_.get();
-        std::size_t room = size * sizeof(T) + line;
-        data_ = static_cast<T*>(std::align(line, size * sizeof(T), start, room));
-    }
+    explicit Zeroed(std::size_t size) : size_(size), block_(size * sizeof(T), true), data_(static_cast<T*>(block_.data())) {}
     T& operator[](std::size_t i) { return data_[i]; }
     const T& operator[](std::size_t i) const { return data_[i]; }
     std::size_t size() const { return size_; }
@@ -28,12 +86,8 @@ public:
     const T* data() const { return data_; }
 
 private:
-    static constexpr std::size_t line = 64;  // elements of 64 bytes then lie in one cache line each
-    struct Free {
-        void operator()(void* p) const { std::free(p); }
-    };
     std::size_t size_;
-    std::unique_ptr<void, Free> block_;
+    Block block_;
     T* data_;
 };
 
@@ -45,7 +99,11 @@ class Buffer {
 public:
     void resize(std::size_t size) {
         if (size > capacity_) {
-            data_ = std::make_unique_for_overwrite<T[]>(size);
+            size_ = capacity_ = 0;
+            data_ = nullptr;
+            block_ = Block();  // before there are two
+            block_ = Block(size * sizeof(T), false);
+            data_ = static_cast<T*>(block_.data());
             capacity_ = size;
         }
         size_ = size;
@@ -53,13 +111,14 @@ public:
     T& operator[](std::size_t i) { return data_[i]; }
     const T& operator[](std::size_t i) const { return data_[i]; }
     std::size_t size() const { return size_; }
-    T* data() { return data_.get(); }
-    const T* data() const { return data_.get(); }
-    std::span<const T> span() const { return {data_.get(), size_}; }
+    T* data() { return data_; }
+    const T* data() const { return data_; }
+    std::span<const T> span() const { return {data_, size_}; }
 
 private:
     std::size_t size_ = 0, capacity_ = 0;
-    std::unique_ptr<T[]> data_;
+    Block block_;
+    T* data_ = nullptr;
 };
 
 }  // namespace pmc

@@ -44,14 +44,12 @@ public:
             count_ = count;
             next_ = 0;
             error_ = nullptr;
-            busy_ = static_cast<unsigned>(workers_.size());
-            ++generation_;
         }
         wake_.notify_all();
         drain(function, count);
         std::unique_lock lock(mutex_);
+        task_ = nullptr;  // whoever wakes up only now is not waited for: that takes longer than many a task
         idle_.wait(lock, [this] { return busy_ == 0; });
-        task_ = nullptr;
         if (error_) std::rethrow_exception(error_);
     }
 
@@ -74,20 +72,16 @@ private:
         }
     }
     void work() {
-        std::uint64_t seen = 0;
+        std::unique_lock lock(mutex_);
         for (;;) {
-            const std::function<void(std::size_t)>* task;
-            std::size_t count;
-            {
-                std::unique_lock lock(mutex_);
-                wake_.wait(lock, [&] { return stop_ || (generation_ != seen && task_); });
-                if (stop_) return;
-                seen = generation_;
-                task = task_;
-                count = count_;
-            }
+            wake_.wait(lock, [this] { return stop_ || (task_ && next_ < count_); });
+            if (stop_) return;
+            const std::function<void(std::size_t)>* task = task_;
+            const std::size_t count = count_;
+            ++busy_;
+            lock.unlock();
             drain(*task, count);
-            std::lock_guard lock(mutex_);
+            lock.lock();
             if (--busy_ == 0) idle_.notify_one();
         }
     }
@@ -99,8 +93,7 @@ private:
     const std::function<void(std::size_t)>* task_ = nullptr;
     std::size_t count_ = 0;
     std::atomic<std::size_t> next_{0};
-    unsigned busy_ = 0;
-    std::uint64_t generation_ = 0;
+    unsigned busy_ = 0;  // workers at the task
     bool stop_ = false;
     std::exception_ptr error_;
 };

@@ -5,11 +5,14 @@ is called and its version, then what it rendered, or its error. Ends where its i
 """
 
 import importlib
+import importlib.util
 import os
 import pickle
 import sys
+from pathlib import Path
 from typing import Any
 
+PRELOADED = "PMC_PEER_PRELOADED"
 COMMON = {"samples", "seed", "file"}
 
 
@@ -40,5 +43,23 @@ def main(package: str) -> None:
     os._exit(0)  # without the libraries' destructors: LuxCore's abort
 
 
+def preload(package: str) -> None:
+    """Start again with the memory manager that a package brings with it in place from the beginning.
+
+    LuxCore's takes over the C library's when it is loaded, so that what was allocated before is freed by the wrong
+    one: on some machines its renders abort ("double free or corruption").
+    """
+    spec = importlib.util.find_spec(package)
+    if PRELOADED in os.environ or spec is None or spec.origin is None:
+        return
+    folder = Path(spec.origin).parent.with_name(f"{package}.libs")
+    found = [str(path) for path in sorted(folder.glob("libtbbmalloc*.so*"))]
+    if found:
+        path = os.pathsep.join(filter(None, [str(folder), os.environ.get("LD_LIBRARY_PATH")]))
+        preloaded = {"LD_PRELOAD": " ".join(found), "LD_LIBRARY_PATH": path, PRELOADED: "1"}
+        os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **preloaded})
+
+
 if __name__ == "__main__":
+    preload(sys.argv[1])
     main(sys.argv[1])

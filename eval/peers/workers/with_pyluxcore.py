@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 pyluxcore.Init(lambda line: None)
 
-_POLL = 0.1  # seconds; looking merges the threads' films, which takes time from them
+_POLL = 0.02  # seconds; looking merges the threads' films, which takes time from them
 
 
 class Peer:
