@@ -3,6 +3,8 @@
 
 #include <cstdint>
 #include <memory>
+#include <mutex>
+#include <utility>
 #include <vector>
 
 #include "memory.hpp"
@@ -29,8 +31,40 @@ struct Batch {
     Buffer<std::uint8_t> tag;
     std::uint64_t iteration_samples = 0;   // proposals of the population: all moves of each member, then the regenerated
     std::vector<std::uint32_t> evaluated;  // those regenerated members
-    std::uint64_t first = 0;               // the first of these proposals
     Buffer<std::uint32_t> place;           // where the sample of each of these proposals lies in the batch
+};
+
+// Batches that nobody holds any more, to be filled again: memory that was never touched costs more than what is written to it.
+class Batches {
+public:
+    std::shared_ptr<Batch> take() {
+        std::unique_ptr<Batch> batch;
+        {
+            const std::lock_guard lock(spare_->mutex);
+            if (!spare_->batches.empty()) {
+                batch = std::move(spare_->batches.back());
+                spare_->batches.pop_back();
+            }
+        }
+        if (!batch) batch = std::make_unique<Batch>();
+        batch->iteration_samples = 0;
+        batch->evaluated.clear();
+        // The last to hold it may be another thread, or outlive the sampler.
+        return {batch.release(), [spare = spare_](Batch* used) {
+                    std::unique_ptr<Batch> kept(used);
+                    const std::lock_guard lock(spare->mutex);
+                    if (spare->batches.size() < most) spare->batches.push_back(std::move(kept));
+                }};
+    }
+
+private:
+    static constexpr std::size_t most = 2;
+    struct Spare {
+        Spare() { batches.reserve(most); }
+        std::mutex mutex;
+        std::vector<std::unique_ptr<Batch>> batches;
+    };
+    std::shared_ptr<Spare> spare_ = std::make_shared<Spare>();
 };
 
 }  // namespace pmc

@@ -17,7 +17,6 @@ void archive_batch(Archive& a, Batch& batch, const std::string& name) {
     a.buffer(name + ".place", batch.place);
     a.vector(name + ".evaluated", batch.evaluated);
     a.value(name + ".iteration_samples", batch.iteration_samples);
-    a.value(name + ".first", batch.first);
 }
 
 // A block that is whole but not ours must not make the sampler write outside its arrays.

@@ -32,12 +32,12 @@ inline std::uint64_t Sampler::batch_size(const SystematicDraw& beta) const {
 inline bool Sampler::prepare() {
     const std::uint64_t left = total_ - issued_;
     if (left == 0) return false;
-    auto batch = std::make_shared<Batch>();
+    auto batch = batches_.take();
     batch->number = drawn_batches_;
     batch->owner = id_;
     pool_slots_.clear();
     pool_passes_.clear();
-    direct_slots_.clear();
+    proposals_.direct.resize(0);
     if (issued_ < initial_ || config.is_uniform()) {
         const std::uint64_t room = config.is_uniform() ? left : initial_ - issued_;
         fill(*batch, std::min({left, room, batch_size()}));
@@ -47,7 +47,7 @@ inline bool Sampler::prepare() {
         if (config.is_unbiased())
             draw_unbiased(*batch, std::min(left, batch_size()), passes);
         else
-            draw_adaptive(*batch, left, SystematicDraw(film_, passes, threads_));
+            draw_adaptive(*batch, left, passes);
     }
     arranger_(proposals_, film_, *batch, threads_);
     issued_ += batch->size();
@@ -62,23 +62,26 @@ inline void Sampler::draw_unbiased(Batch& batch, std::uint64_t size, float passe
     const std::uint64_t direct = size - pool_share_of(size);
     const std::uint64_t counts[2] = {direct - direct * (pixels / 2) / pixels, direct * (pixels / 2) / pixels};
     film_.guide(threads_);
-    direct_slots_.resize(direct);
+    drawn_slots_.resize(direct);
     for (std::uint32_t colour = 0; colour < 2; ++colour) {
         if (!counts[colour]) continue;
         film_.select(colour);
         const float offset = Stream(seed, stream::offset, batch.number).uniform(colour);
-        SystematicDraw(film_, passes, threads_)(counts[colour], offset, direct_slots_.data() + colour * counts[0], threads_);
+        const Shares all(counts[colour], 0, drawn_slots_.data() + colour * counts[0], nullptr, nullptr);
+        SystematicDraw(film_, passes, threads_)(counts[colour], offset, all, threads_);
     }
-    fill(batch, size);
+    fill(batch, size, drawn_slots_.span());
 }
 
-inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta) {
+inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passes) {
     const double own_share = (1.0 - config.pool_share) * (1.0 - config.direct_share);
-    std::uint64_t size = std::min(left, batch_size(beta));
     const auto share_of = [](double share, std::uint64_t n) { return static_cast<std::uint64_t>(std::llround(share * static_cast<double>(n))); };
     std::vector<std::uint32_t> replaced;
+    const SystematicDraw beta(film_, passes, threads_, [&] {
+        if (own_share > 0.0) replaced = resample(batch, share_of(own_share, batch_size()));
+    });
+    std::uint64_t size = std::min(left, batch_size(beta));
     if (own_share > 0.0) {
-        replaced = resample(batch, share_of(own_share, batch_size()));
         const std::uint64_t own = population_of(batch.number).members.size() * config.moves + batch.evaluated.size();
         // A population whose members neither move nor are replaced this time leaves the batch to beta and the pool.
         if (config.population && own) size = std::min(left, static_cast<std::uint64_t>(std::llround(static_cast<double>(own) / own_share)));
@@ -89,20 +92,15 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, const Syste
     const std::uint64_t pool = std::min(pool_share_of(size), size - batch.iteration_samples);
     const std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
     const std::uint64_t members = known ? replaced.size() - share_of(config.regenerate_pool, replaced.size()) : 0;
-    // One pass over beta serves both: of the draws, evenly spaced ones place members, the others are samples themselves.
-    drawn_slots_.resize(members + direct);
-    if (members + direct) beta(members + direct, Stream(seed, stream::offset, batch.number).uniform(0), drawn_slots_.data(), threads_);
     member_slots_.resize(members);
-    direct_slots_.resize(direct);
-    std::uint32_t* to[2] = {direct_slots_.data(), member_slots_.data()};
-    for (std::uint64_t i = 0, due = 0; i < members + direct; ++i) {
-        due += members;
-        const bool member = due >= members + direct;
-        due -= member ? members + direct : 0;
-        *to[member]++ = drawn_slots_[i];
+    proposals_.direct.resize(direct);
+    if (members + direct) {
+        proposals_.direct_starts.resize(film_.tiling.tiles() + 1);
+        const Shares both(members + direct, members, proposals_.direct.data(), member_slots_.data(), proposals_.direct_starts.data());
+        beta(members + direct, Stream(seed, stream::offset, batch.number).uniform(0), both, threads_);
     }
     regenerate(batch, replaced);
-    fill(batch, size);
+    fill(batch, size - direct);
 }
 
 // Resampling of the population whose turn it is (paper, Figure 2): adapt, eliminate. The members to replace, and in
@@ -121,7 +119,7 @@ inline std::vector<std::uint32_t> Sampler::resample(Batch& batch, std::uint64_t 
         if (!config.population) evaluated_share *= config.eliminate;
     } else {
         if (population.iteration % config.adapt_alpha_every == 0) population.adapt(config, memory_);
-        replaced = population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number), threads_);
+        replaced = population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number));
         for (const std::uint32_t m : replaced) Population::adapt(population.members[m], config, memory_);
     }
     ++population.iteration;
@@ -151,8 +149,8 @@ inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint3
     threads_.ranges(n, 1024, [&](std::size_t first, std::size_t last) {
         for (std::size_t i = first; i < last; ++i) {
             const auto counter = static_cast<std::uint32_t>(i);
-            float x = in_pixel(film_.tiling.x(member_slots_[i]), place.uniform(counter, 0));
-            float y = in_pixel(film_.tiling.y(member_slots_[i]), place.uniform(counter, 1));
+            float x = in_pixel(static_cast<float>(film_.tiling.x(member_slots_[i])), place.uniform(counter, 0));
+            float y = in_pixel(static_cast<float>(film_.tiling.y(member_slots_[i])), place.uniform(counter, 1));
             if (jitter > 0.0f && i < by_beta) {
                 x += jitter * (2.0f * place.uniform(counter, 2) - 1.0f);
                 y += jitter * (2.0f * place.uniform(counter, 3) - 1.0f);
@@ -162,37 +160,36 @@ inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint3
     });
 }
 
-// Lays out a batch of `size` samples: the direct draws from beta, the population's (batch.iteration_samples of them: moves,
-// then regenerated members, those of the pool last), and the pool's for the rest.
-inline void Sampler::fill(Batch& batch, std::uint64_t size) {
+// Lays out `size` proposals of a batch: some that are given, the population's (batch.iteration_samples of them: moves, then
+// regenerated members, those of the pool last), and the pool's for the rest.
+inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std::uint32_t> given) {
     Population& population = population_of(batch.number);
-    const std::size_t own = batch.iteration_samples, direct = direct_slots_.size();
+    const std::size_t own = batch.iteration_samples;
     const std::size_t moved = own ? population.members.size() * config.moves : 0;
     const std::size_t placed = own ? batch.evaluated.size() : 0, in_pool = own ? pool_slots_.size() : 0;
-    proposals_.slot.resize(direct + moved + placed + size);
-    proposals_.tag.resize(direct + moved + placed + size);
+    proposals_.slot.resize(given.size() + moved + placed + size);
+    proposals_.tag.resize(given.size() + moved + placed + size);
     std::uint32_t* slot = proposals_.slot.data();
     std::uint8_t* tag = proposals_.tag.data();
-    std::copy(direct_slots_.begin(), direct_slots_.end(), slot);
-    std::fill_n(tag, direct, Tag::no_kernel);
+    std::copy(given.begin(), given.end(), slot);
+    std::fill_n(tag, given.size(), Tag::no_kernel);
     // Regenerated members are evaluated where they are now, before they move.
-    std::size_t next = direct + moved;
+    std::size_t next = given.size() + moved;
     for (std::size_t i = 0; i + in_pool < placed; ++i, ++next) {
         const Member& member = population.members[batch.evaluated[i]];
         slot[next] = film_.tiling.slot(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y));
         tag[next] = Tag::no_kernel;
     }
-    if (moved) population.move(config, film_.tiling, Stream(seed, stream::move, batch.number), slot + direct, tag + direct, threads_);
-    batch.first = direct;
-    if (direct + own < next + in_pool) {
+    if (moved) population.move(config, film_.tiling, Stream(seed, stream::move, batch.number), slot, tag, threads_);
+    if (own < moved + placed) {
         // Cut short by the end of the budget: keep evenly spaced proposals; the members learn nothing from this one.
-        const std::size_t keep = own - std::min(own, in_pool), from = next - direct;
+        const std::size_t keep = own - std::min(own, in_pool), from = next;
         for (std::size_t i = 0; i < keep; ++i) {
-            const std::size_t source = direct + i * from / std::max<std::size_t>(keep, 1);
-            slot[direct + i] = slot[source];
-            tag[direct + i] = tag[source];
+            const std::size_t source = i * from / std::max<std::size_t>(keep, 1);
+            slot[i] = slot[source];
+            tag[i] = tag[source];
         }
-        next = direct + keep;
+        next = keep;
         batch.iteration_samples = 0;
         batch.evaluated.clear();
     }

@@ -12,6 +12,7 @@
 #include "batch.hpp"
 #include "config.hpp"
 #include "memory.hpp"
+#include "multiversion.hpp"
 #include "parallel.hpp"
 #include "perception.hpp"
 #include "rounding.hpp"
@@ -37,6 +38,13 @@ inline constexpr std::array<double, 1024> reciprocals = [] {
     for (int i = 1; i < 1024; ++i) table[i] = 1.0 / i;
     return table;
 }();
+
+// Whether all values are from `lowest` to `highest`; NaN is not.
+PMC_MULTIVERSION inline bool all_within(const float* values, std::size_t n, float lowest, float highest) {
+    std::uint32_t outside = 0;
+    for (std::size_t i = 0; i < n; ++i) outside |= static_cast<std::uint32_t>(!(values[i] >= lowest)) | static_cast<std::uint32_t>(!(values[i] <= highest));
+    return !outside;
+}
 
 class Film {
 public:
@@ -224,6 +232,23 @@ public:
     static constexpr std::int64_t reach = 3;  // pixels; with less, single rare paths go unnoticed (docs/reliability.md, Budgets)
     static constexpr std::size_t bytes_per_pixel =
         sizeof(PixelSums) + sizeof(Reals40<3>) + sizeof(std::uint16_t[3]) + sizeof(std::uint32_t) + sizeof(float);
+
+    // How many of n samples are not valid(); 3 + aovs floats each.
+    std::size_t invalid(const float* radiance, std::size_t n, ThreadPool& threads) const {
+        const float highest = std::numeric_limits<float>::max(), lowest = is_signed ? -highest : 0.0f;
+        std::atomic<std::size_t> found{0};
+        threads.ranges(n, 65536, [&](std::size_t first, std::size_t last) {  // as a rule that is all
+            found += !all_within(radiance + first * (3 + aovs), (last - first) * (3 + aovs), lowest, highest);
+        });
+        if (!found) return 0;
+        found = 0;
+        threads.ranges(n, 16384, [&](std::size_t first, std::size_t last) {
+            std::size_t bad = 0;
+            for (std::size_t i = first; i < last; ++i) bad += !valid(radiance + i * (3 + aovs));
+            found += bad;
+        });
+        return found;
+    }
 
     // A sample's channels: radiance finite and, unless it is signed, not negative; the others finite.
     bool valid(const float* v) const {

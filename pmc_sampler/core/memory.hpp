@@ -9,20 +9,22 @@
 #include <type_traits>
 #include <utility>
 
-#if defined(__linux__)
+// AddressSanitizer sees what comes from the heap alone.
+#if defined(__linux__) && !defined(__SANITIZE_ADDRESS__)
+#define PMC_HUGE_PAGES
 #include <sys/mman.h>
 #endif
 
 namespace pmc {
 
-// Bytes of no value, or zeros. A large block asks for huge pages, where the system has them (Linux): the film is larger than the
-// caches, samples jump about in it, and with pages of 4 KiB the translation of addresses, and above all the first touch of every
-// page, cost as much as what is computed.
+// Bytes of any value, or zeros that begin with a cache line. A large block asks for huge pages, where the system has them (Linux):
+// the film is larger than the caches, samples jump about in it, and with pages of 4 KiB the translation of addresses, and above all
+// the first touch of every page, cost as much as what is computed.
 class Block {
 public:
     Block() = default;
     Block(std::size_t bytes, bool zeroed) {
-#if defined(__linux__)
+#ifdef PMC_HUGE_PAGES
         if (bytes >= huge) {
             mapped_ = bytes + huge;
             block_ = mmap(nullptr, mapped_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
@@ -32,9 +34,9 @@ public:
             return;
         }
 #endif
-        block_ = zeroed ? std::calloc(bytes + line, 1) : std::malloc(bytes + line);
-        if (!block_) throw std::bad_alloc();
-        data_ = align(line, bytes, bytes + line);
+        block_ = zeroed ? std::calloc(bytes + line, 1) : std::malloc(bytes);
+        if (!block_ && (zeroed || bytes)) throw std::bad_alloc();
+        data_ = zeroed ? align(line, bytes, bytes + line) : block_;
     }
     Block(Block&& other) noexcept { swap(other); }
     Block& operator=(Block&& other) noexcept {
@@ -44,7 +46,7 @@ public:
         return *this;
     }
     ~Block() {
-#if defined(__linux__)
+#ifdef PMC_HUGE_PAGES
         if (mapped_) {
             munmap(block_, mapped_);
             return;
@@ -55,7 +57,7 @@ public:
     void* data() const { return data_; }
 
 private:
-    static constexpr std::size_t line = 64;  // elements of 64 bytes then lie in one cache line each
+    static constexpr std::size_t line = 64;
     static constexpr std::size_t huge = std::size_t(2) << 20;
 
     void* align(std::size_t alignment, std::size_t bytes, std::size_t room) const {
@@ -91,21 +93,20 @@ private:
     T* data_;
 };
 
-// A growing buffer whose new elements are not initialised: batches are overwritten whole, so zeroing them is wasted time.
+// A growing buffer whose new elements are not initialised: batches are overwritten whole, so zeroing them is wasted time. What is in it
+// is lost when it grows.
 template <class T>
 class Buffer {
     static_assert(std::is_trivially_copyable_v<T>);
 
 public:
     void resize(std::size_t size) {
-        if (size > capacity_) {
-            size_ = capacity_ = 0;
-            data_ = nullptr;
-            block_ = Block();  // before there are two
-            block_ = Block(size * sizeof(T), false);
-            data_ = static_cast<T*>(block_.data());
-            capacity_ = size;
-        }
+        if (size > capacity_) allocate(size);
+        size_ = size;
+    }
+    // The same for what is filled anew: it does not hold on to the memory of a much larger use.
+    void renew(std::size_t size) {
+        if (size > capacity_ || 4 * size < capacity_) allocate(size);
         size_ = size;
     }
     T& operator[](std::size_t i) { return data_[i]; }
@@ -116,6 +117,15 @@ public:
     std::span<const T> span() const { return {data_, size_}; }
 
 private:
+    void allocate(std::size_t size) {
+        size_ = capacity_ = 0;
+        data_ = nullptr;
+        block_ = Block();  // before there are two
+        block_ = Block(size * sizeof(T), false);
+        data_ = static_cast<T*>(block_.data());
+        capacity_ = size;
+    }
+
     std::size_t size_ = 0, capacity_ = 0;
     Block block_;
     T* data_ = nullptr;

@@ -121,7 +121,7 @@ struct Population {
     // Members to replace: all but round((1 - eliminate) n) survivors, which are drawn without replacement in proportion to
     // w = var / N_used (section 4.3.1) by the keys of Efraimidis and Spirakis 2006 (doi:10.1016/j.ipl.2005.11.003); members
     // of weight 0 survive only where too few others are left.
-    std::vector<std::uint32_t> eliminated(double share, const Stream& stream, ThreadPool& threads) const {
+    std::vector<std::uint32_t> eliminated(double share, const Stream& stream) const {
         const std::size_t n = members.size();
         const auto survivors = static_cast<std::size_t>(std::llround((1.0 - share) * static_cast<double>(n)));
         std::vector<std::uint32_t> gone;
@@ -133,14 +133,12 @@ struct Population {
         if (survivors >= n) return gone;
         // log(u) / w, larger is better; without weight, after all others and at random.
         std::vector<float> key(n), sorted;
-        threads.ranges(n, 4096, [&](std::size_t first, std::size_t last) {
-            for (std::size_t i = first; i < last; ++i) {
-                const float weight = members[i].all.variance() / static_cast<float>(std::max(1u, members[i].rounds));
-                const float u = (static_cast<float>(stream.word(static_cast<std::uint32_t>(i)) >> 8) + 0.5f) * 0x1p-24f;
-                const float score = weight > 0.0f ? std::log(u) / weight : -std::numeric_limits<float>::infinity();
-                key[i] = score > -std::numeric_limits<float>::max() ? score : -std::numeric_limits<float>::max() * (0.5f + 0.5f * u);
-            }
-        });
+        for (std::size_t i = 0; i < n; ++i) {
+            const float weight = members[i].all.variance() / static_cast<float>(std::max(1u, members[i].rounds));
+            const float u = (static_cast<float>(stream.word(static_cast<std::uint32_t>(i)) >> 8) + 0.5f) * 0x1p-24f;
+            const float score = weight > 0.0f ? std::log(u) / weight : -std::numeric_limits<float>::infinity();
+            key[i] = score > -std::numeric_limits<float>::max() ? score : -std::numeric_limits<float>::max() * (0.5f + 0.5f * u);
+        }
         sorted = key;
         const auto last_kept = sorted.begin() + static_cast<std::ptrdiff_t>(survivors - 1);
         std::nth_element(sorted.begin(), last_kept, sorted.end(), std::greater<>());
@@ -182,7 +180,7 @@ struct Population {
         const std::uint32_t kernels = config.kernels(), moves = config.moves;
         float radius[Config::max_kernels] = {};
         for (std::uint32_t k = 0; k < kernels; ++k) radius[k] = static_cast<float>(config.radii[k]);
-        threads.ranges(members.size(), 1024, [&](std::size_t first, std::size_t last) {
+        threads.ranges(members.size(), 256, [&](std::size_t first, std::size_t last) {
             for (std::size_t m = first; m < last; ++m) {
                 Member& member = members[m];
                 for (std::uint32_t t = 0; t < moves; ++t) {
@@ -209,7 +207,7 @@ struct Population {
             const float y = luminances[batch.place[moved + i]];
             if (y == y) members[batch.evaluated[i]].all.add(y);
         }
-        threads.ranges(members.size(), 1024, [&](std::size_t first, std::size_t last) {
+        threads.ranges(members.size(), 4096, [&](std::size_t first, std::size_t last) {
             for (std::size_t m = first; m < last; ++m) {
                 Member& member = members[m];
                 for (std::size_t proposal = m * moves; proposal < (m + 1) * moves; ++proposal) {

@@ -183,13 +183,7 @@ private:
     }
 
     void check_mostly_valid(const Batch& batch, std::span<const float> radiance) {
-        const std::size_t channels = 3 + film_.aovs;
-        std::atomic<std::size_t> invalid{0};
-        threads_.ranges(batch.size(), 16384, [&](std::size_t first, std::size_t last) {
-            std::size_t bad = 0;
-            for (std::size_t i = first; i < last; ++i) bad += !film_.valid(radiance.data() + i * channels);
-            invalid += bad;
-        });
+        const std::size_t invalid = film_.invalid(radiance.data(), batch.size(), threads_);
         constexpr std::size_t few = 64;
         const std::uint64_t told = film_.samples + rejected_;
         if (2 * invalid > batch.size() && (batch.size() >= few || 2 * (rejected_ + invalid) > told + batch.size()))
@@ -259,10 +253,10 @@ private:
     std::uint64_t batch_size() const;
     std::uint64_t batch_size(const SystematicDraw& beta) const;
     void draw_unbiased(Batch& batch, std::uint64_t size, float passes);
-    void draw_adaptive(Batch& batch, std::uint64_t left, const SystematicDraw& beta);
+    void draw_adaptive(Batch& batch, std::uint64_t left, float passes);
     std::vector<std::uint32_t> resample(Batch& batch, std::uint64_t room);
     void regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced);
-    void fill(Batch& batch, std::uint64_t size);
+    void fill(Batch& batch, std::uint64_t size, std::span<const std::uint32_t> given = {});
     void from_pool(std::size_t count);
 
     ThreadPool threads_;
@@ -271,6 +265,8 @@ private:
     AlphaMemory memory_;
     Arranger arranger_;
     std::vector<Population> populations_;  // batch k moves the (k mod (lookahead + 1))-th: the last batch of that one is told
+
+    Batches batches_;
 
     std::uint64_t id_, total_ = 0, initial_ = 0;
     // config.pool_share, or what is near it and lets the pool end with a whole pass: a pixel that lacks the last one, or has one
@@ -292,7 +288,7 @@ private:
 
     // Scratch of one draw and one tell.
     Proposals proposals_;
-    std::vector<std::uint32_t> pool_slots_, pool_passes_, member_slots_, direct_slots_;
+    std::vector<std::uint32_t> pool_slots_, pool_passes_, member_slots_;
     Buffer<std::uint32_t> drawn_slots_;
     Buffer<float> luminances_;
 };

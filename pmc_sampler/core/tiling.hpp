@@ -29,10 +29,10 @@ struct Tiling {
     bool inside(std::uint32_t slot) const { return x(slot) < width && y(slot) < height; }
 };
 
-// corner + u, below corner + 1: the sum of two floats may round up to the next pixel, or out of the image.
-inline float in_pixel(std::uint32_t corner, float u) {
-    const float next = static_cast<float>(corner + 1), below = std::bit_cast<float>(std::bit_cast<std::uint32_t>(next) - 1);
-    return std::min(static_cast<float>(corner) + u, below);
+// corner, a whole number, + u, below corner + 1: the sum of two floats may round up to the next pixel, or out of the image.
+inline float in_pixel(float corner, float u) {
+    const float below = std::bit_cast<float>(std::bit_cast<std::uint32_t>(corner + 1.0f) - 1);
+    return std::min(corner + u, below);
 }
 
 // x folded into [0, size) by reflection at both borders, as often as it takes.

@@ -237,3 +237,24 @@ def test_the_last_batch_dropped_over_and_over(renderers: SimpleNamespace) -> Non
         some.drop(some.ask())
     some.run(renderers.textured)
     assert some.samples == 9 * 33 * 21
+
+
+def test_the_memory_of_batches_that_nobody_holds_is_used_again(renderers: SimpleNamespace) -> None:
+    """And of no other: what is held keeps its values, though the sampler has long gone on."""
+    settings = Config(batch=100_000)
+    held, copies, addresses = [], [], set()
+    for keep in (False, True):
+        some = Sampler(640, 480, Budget(spp=6), settings, seed=2)
+        while not some.done:
+            batch = some.ask()
+            addresses.add((keep, batch.positions.ctypes.data))
+            if keep:
+                held.append(batch.positions)
+                copies.append(batch.positions.copy())
+            some.tell(batch, renderers.textured(batch.positions))
+            del batch
+    assert len(held) > 10
+    assert len({address for kept, address in addresses if not kept}) <= 2
+    assert len({address for kept, address in addresses if kept}) == len(held)
+    for positions, copy in zip(held, copies, strict=True):
+        np.testing.assert_array_equal(positions, copy)
