@@ -251,7 +251,7 @@ def test_the_memory_of_batches_that_nobody_holds_is_used_again(renderers: Simple
             if keep:
                 held.append(batch.positions)
                 copies.append(batch.positions.copy())
-            some.tell(batch, renderers.textured(batch.positions))
+            some.tell(batch, renderers.textured(batch))
             del batch
     assert len(held) > 10
     assert len({address for kept, address in addresses if not kept}) <= 2
