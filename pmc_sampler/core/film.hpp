@@ -67,12 +67,14 @@ public:
         };
         threads.ranges(n, 2048, [&](std::size_t first, std::size_t last) {
             std::uint64_t bad = 0;
-            for (std::size_t i = boundary(first), end = boundary(last), next; i < end; i = next) {
+            const std::size_t begin = boundary(first), end = boundary(last);
+            const bool clean = all_valid(radiance + begin * (3 + aovs), end - begin);
+            for (std::size_t i = begin, next; i < end; i = next) {
                 next = i;
                 do {
                     if (next + ahead < end) fetch(slot[next + ahead], batch.tag[next + ahead]);
                 } while (++next < end && slot[next] == slot[i]);
-                bad += add_pixel(batch, i, next, radiance, luminances);
+                bad += add_pixel(batch, i, next, radiance, clean, luminances);
                 tiles_[slot[i] / Tiling::area].stale |= live_;
             }
             rejected += bad;
@@ -235,14 +237,9 @@ public:
 
     // How many of n samples are not valid(); 3 + aovs floats each.
     std::size_t invalid(const float* radiance, std::size_t n, ThreadPool& threads) const {
-        const float highest = std::numeric_limits<float>::max(), lowest = is_signed ? -highest : 0.0f;
         std::atomic<std::size_t> found{0};
-        threads.ranges(n, 65536, [&](std::size_t first, std::size_t last) {  // as a rule that is all
-            found += !all_within(radiance + first * (3 + aovs), (last - first) * (3 + aovs), lowest, highest);
-        });
-        if (!found) return 0;
-        found = 0;
-        threads.ranges(n, 16384, [&](std::size_t first, std::size_t last) {
+        threads.ranges(n, 65536, [&](std::size_t first, std::size_t last) {
+            if (all_valid(radiance + first * (3 + aovs), last - first)) return;
             std::size_t bad = 0;
             for (std::size_t i = first; i < last; ++i) bad += !valid(radiance + i * (3 + aovs));
             found += bad;
@@ -257,6 +254,12 @@ public:
         for (int c = 0; c < 3; ++c) ok &= v[c] >= lowest && v[c] <= highest;
         for (std::uint32_t c = 3; c < 3 + aovs; ++c) ok &= std::isfinite(v[c]);
         return ok;
+    }
+
+    // Whether n samples are valid(), at a glance; false where it cannot tell, as of channels after RGB that are negative.
+    bool all_valid(const float* radiance, std::size_t n) const {
+        const float highest = std::numeric_limits<float>::max();
+        return all_within(radiance, n * (3 + aovs), is_signed ? -highest : 0.0f, highest);
     }
 
     Tiling tiling;
@@ -295,10 +298,10 @@ private:
         if ((tag & Tag::kernel_mask) != Tag::no_kernel) __builtin_prefetch(&strategy[slot], 1);
     }
 
-    // Samples [first, last) of a batch, all of one pixel; how many of them are left out. Deviations are taken from the mean
-    // before each sample (Welford 1962, doi:10.1080/00401706.1962.10490022), as n x - sum, which is exactly 0 where all are equal:
-    // a large mean with a tiny spread loses nothing. What is kept in fewer bits is rounded once, at the end.
-    std::uint64_t add_pixel(const Batch& batch, std::size_t first, std::size_t last, const float* radiance, float* luminances) {
+    // Samples [first, last) of a batch, all of one pixel; how many of them are left out, none where they are known to be `clean`.
+    // Deviations are taken from the mean before each sample (Welford 1962, doi:10.1080/00401706.1962.10490022), as n x - sum, which is
+    // exactly 0 where all are equal: a large mean with a tiny spread loses nothing. What is kept in fewer bits is rounded once, at the end.
+    std::uint64_t add_pixel(const Batch& batch, std::size_t first, std::size_t last, const float* radiance, bool clean, float* luminances) {
         const std::size_t slot = batch.slot[first];
         PixelSums& p = sums[slot];
         // Red and green, blue and luminance: vectors of the width that every x86-64 and 64-bit Arm processor has.
@@ -308,7 +311,7 @@ private:
         std::uint32_t n = p.n, n_pool = p.n_pool;
         for (std::size_t i = first; i < last; ++i) {
             const float* v = radiance + i * (3 + aovs);
-            if (!valid(v)) {
+            if (!clean && !valid(v)) {
                 if (luminances) luminances[i] = std::numeric_limits<float>::quiet_NaN();
                 continue;
             }

@@ -106,12 +106,17 @@ private:
 // A uniform point of the disk of radius r, by rejection from its square: cheaper than a sine and a cosine. Half a word makes
 // each coordinate: steps of r / 32768.
 inline Point2 in_disk(const Stream& stream, std::uint32_t counter, std::uint32_t slot, float r) {
-    for (std::uint32_t attempt = 0; attempt < 32; ++attempt) {
-        const std::uint32_t word = stream.word(counter, slot + attempt);
-        const float u = (static_cast<float>(word >> 16) + 0.5f) * 0x1p-15f - 1.0f, v = (static_cast<float>(word & 0xffffu) + 0.5f) * 0x1p-15f - 1.0f;
-        if (u * u + v * v <= 1.0f) return {u * r, v * r};
-    }
-    return {0.0f, 0.0f};  // once in 10^21
+    const auto attempt = [&](std::uint32_t number) {
+        const std::uint32_t word = stream.word(counter, slot + number);
+        return Point2{(static_cast<float>(word >> 16) + 0.5f) * 0x1p-15f - 1.0f, (static_cast<float>(word & 0xffffu) + 0.5f) * 0x1p-15f - 1.0f};
+    };
+    const auto inside = [](Point2 p) { return p.x * p.x + p.y * p.y <= 1.0f; };
+    // A second attempt that is made in vain costs less than a branch that nobody can predict.
+    const Point2 first = attempt(0), second = attempt(1);
+    Point2 p = {inside(first) ? first.x : second.x, inside(first) ? first.y : second.y};
+    for (std::uint32_t number = 2; !inside(p) && number < 32; ++number) p = attempt(number);
+    if (!inside(p)) return {0.0f, 0.0f};  // once in 10^21
+    return {p.x * r, p.y * r};
 }
 
 struct Population {
@@ -188,7 +193,10 @@ struct Population {
                     const std::uint32_t draw = t * 64;  // words a move may use
                     const float u = stream.uniform(counter, draw);
                     std::uint32_t k = 0;
-                    for (float c = member.alpha[0]; k + 1 < kernels && u >= c; c += member.alpha[++k]) {
+                    float below = 0.0f;
+                    for (std::uint32_t next = 1; next < kernels; ++next) {
+                        below += member.alpha[next - 1];
+                        k += u >= below;
                     }
                     const Point2 step = in_disk(stream, counter, draw + 1, radius[k]);
                     member.x = reflect(member.x + step.x, static_cast<float>(tiling.width));
