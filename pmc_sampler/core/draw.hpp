@@ -138,7 +138,10 @@ inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint3
     Population& population = population_of(batch.number);
     const std::size_t n = replaced.size(), by_beta = member_slots_.size();
     if (batch.evaluated.size() == n) {  // where all are evaluated, those that the pool places are samples of its stream
-        from_pool(n - by_beta);
+        pool_.take(n - by_beta, [&](std::uint32_t slot, std::uint32_t pass) {
+            pool_slots_.push_back(slot);
+            pool_passes_.push_back(pass);
+        });
         member_slots_.insert(member_slots_.end(), pool_slots_.begin(), pool_slots_.end());
     } else {
         placement_.take(n - by_beta, [&](std::uint32_t slot, std::uint32_t) { member_slots_.push_back(slot); });
@@ -193,24 +196,14 @@ inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std:
         batch.iteration_samples = 0;
         batch.evaluated.clear();
     }
-    if (size > next + pool_slots_.size()) from_pool(size - next - pool_slots_.size());
-    pool_slots_.resize(size - next);
-    pool_passes_.resize(size - next);
+    const std::size_t pool = size - next, taken = std::min(pool, pool_slots_.size());
     proposals_.slot.resize(size);
     proposals_.tag.resize(size);
-    proposals_.pass.resize(size - next);
-    std::copy(pool_slots_.begin(), pool_slots_.end(), slot + next);
-    std::fill_n(tag + next, size - next, static_cast<std::uint8_t>(Tag::pool | Tag::no_kernel));
-    std::copy(pool_passes_.begin(), pool_passes_.end(), proposals_.pass.data());
-}
-
-inline void Sampler::from_pool(std::size_t count) {
-    pool_slots_.reserve(pool_slots_.size() + count);
-    pool_passes_.reserve(pool_passes_.size() + count);
-    pool_.take(count, [&](std::uint32_t slot, std::uint32_t pass) {
-        pool_slots_.push_back(slot);
-        pool_passes_.push_back(pass);
-    });
+    proposals_.pass.resize(pool);
+    std::copy_n(pool_slots_.begin(), taken, slot + next);
+    std::copy_n(pool_passes_.begin(), taken, proposals_.pass.data());
+    pool_.take(pool - taken, slot + next + taken, proposals_.pass.data() + taken, threads_);
+    std::fill_n(tag + next, pool, static_cast<std::uint8_t>(Tag::pool | Tag::no_kernel));
 }
 
 }  // namespace pmc

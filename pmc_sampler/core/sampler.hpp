@@ -257,7 +257,6 @@ private:
     std::vector<std::uint32_t> resample(Batch& batch, std::uint64_t room);
     void regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced);
     void fill(Batch& batch, std::uint64_t size, std::span<const std::uint32_t> given = {});
-    void from_pool(std::size_t count);
 
     ThreadPool threads_;
     Film film_;
