@@ -13,6 +13,7 @@
 #if defined(__linux__) && !defined(__SANITIZE_ADDRESS__)
 #define PMC_HUGE_PAGES
 #include <sys/mman.h>
+#include <unistd.h>
 #endif
 
 namespace pmc {
@@ -30,7 +31,8 @@ public:
             block_ = mmap(nullptr, mapped_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
             if (block_ == MAP_FAILED) throw std::bad_alloc();
             data_ = align(huge, bytes, mapped_);
-            madvise(data_, bytes, MADV_HUGEPAGE);  // where it is refused, small pages do
+            // Not for what may only be touched here and there: a film larger than the memory. Where it is refused, small pages do.
+            if (bytes <= physical() / 8) madvise(data_, bytes, MADV_HUGEPAGE);
             return;
         }
 #endif
@@ -60,6 +62,12 @@ private:
     static constexpr std::size_t line = 64;
     static constexpr std::size_t huge = std::size_t(2) << 20;
 
+#ifdef PMC_HUGE_PAGES
+    static std::size_t physical() {  // bytes of the machine's memory
+        static const std::size_t bytes = static_cast<std::size_t>(sysconf(_SC_PHYS_PAGES)) * static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
+        return bytes;
+    }
+#endif
     void* align(std::size_t alignment, std::size_t bytes, std::size_t room) const {
         void* start = block_;
         return std::align(alignment, bytes, start, room);
