@@ -59,7 +59,6 @@ ADAPTIVE: dict[str, tuple[dict[str, Any], ...]] = {
     RECORDED: ({"sampler": "PMC"},),
 }
 _PER_PIXEL = 4096  # recorded samples: more than a pixel gets, so that none is taken twice
-_FINER = 16  # of our reference: the bias of PMC is so small that the error of a peer's would hide it
 COLUMNS = ("renderer", "sampling", "spp", "MSE", "MSE factor", "tvi error", "tvi factor", "bias %")
 COLUMNS += ("reference's error %", "seconds")
 Rendered = Callable[[int, int, Mapping[str, Any]], Picture]  # samples a pixel, seed, settings
@@ -153,7 +152,7 @@ def _recording(release: str, options: argparse.Namespace) -> Recording:
 def _reference(name: str, release: str, rendered: Rendered, options: argparse.Namespace) -> Reference:
     """A uniform reference of a renderer's own making."""
     width, height = options.size
-    spp = options.reference_spp * (_FINER if name == OURS else 1)
+    spp = options.reference_spp
 
     def replicate(seed: int, each: int, state: Path, share: Callable[[float], None]) -> tuple[Any, int]:
         return rendered(each, seed, UNIFORM).rgb, 0
@@ -231,7 +230,7 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
         "Factors are the error of the renderer's own uniform sampling over that of its adaptive sampling, seed by",
         "seed: median and 95 % bootstrap interval. Samples per pixel are as the renderer counted them, and differ a",
         "little; errors count as falling in proportion to them. Each renderer is measured against a uniform reference",
-        f"of its own of {options.reference_spp} samples a pixel ({_FINER} times as many for ours), of other seeds,",
+        f"of its own of {options.reference_spp} samples a pixel, of other seeds,",
         "whose noise is subtracted from the errors; the recording of our tracer, of "
         f"{_PER_PIXEL} samples a pixel, has an exact mean. MSE is of linear RGB; tvi error is",
         f"`mean((dY / tvi(Y))^2)`, white is {WHITE_LUMINANCE:g} cd/m2.",
@@ -362,7 +361,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser.add_argument("--spp", type=int, default=64)
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--own-seeds", type=int, default=100, help="of our tracer; default: %(default)s")
-    parser.add_argument("--reference-spp", type=int, default=1024, help="a multiple of --spp")
+    parser.add_argument("--reference-spp", type=int, default=16384, help="a multiple of --spp")
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR")
     return parser.parse_args(arguments)
 

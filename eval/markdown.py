@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping, Sequence
 
 from . import statistics
-from .results import Results, Row
+from .results import Results, Row, known, noise_left
 from .suite import OWN, shipped
 
 ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
@@ -48,7 +48,8 @@ def _preamble(found: Results) -> str:
         f"{rejected} samples were rejected as not finite or negative.\n\n"
         f"Factors are the error of *{suite.baseline}* over the method's, taken seed by seed: median and 95 % bootstrap "
         f"interval{statistics.few(suite.seeds)}. A reference's noise is subtracted from "
-        f"errors, and where nothing is left there is a dash. Luminance 1 is {suite.white_luminance:g} cd/m2. MSE "
+        f"errors; one within three standard deviations of what that leaves makes no factor but a dash. Luminance 1 "
+        f"is {suite.white_luminance:g} cd/m2. MSE "
         "is of linear RGB; tvi error is `mean((dY / tvi(Y))^2)`. Bias is of mean luminance, with its standard error "
         "over seeds; before correction: of the plain mean of all samples. Seconds are medians; renderer and sampler "
         "(ask, tell and the image) are shares of the total. Limit reached: the least error that independent samples "
@@ -106,34 +107,49 @@ def _least(found: Results, scene: str, budget: str, errors: Mapping[str, str]) -
     return [f"Least: {'; '.join(parts)}, seed by seed."] if parts else []
 
 
+_COSTS = {"time": ("seconds.total", "{:.2f} s"), "samples": ("spp", "{:.4g} spp")}
+
+
 def _native_table(found: Results, scene: str) -> str:
-    """What the renderer makes by its own way to choose samples, and the other methods' errors in no more time."""
+    """What the renderer makes by its own way to choose samples, and the other methods' errors at no more cost."""
     errors = {name: title for name, title in ERRORS.items() if name in found.suite.metrics}
-    others = [method.name for method in found.suite.methods if not method.native]
-    head = ["the renderer's own", *errors.values(), "bias %", "spp", "seconds"]
-    head += [f"over {other} in no more time: {title}" for other in others for title in errors.values()]
-    lines = []
-    for method in found.suite.methods:
-        own = found.select(scene, method.name, str(OWN)) if method.native else []
-        if not own:
-            continue
-        seconds = _median(own, "seconds.total")
-        cells = [method.name, *(f"{_median(own, name):.3g}" for name in errors)]
-        cells += [_bias([row["bias"] for row in own]), f"{_median(own, 'spp'):.4g}", f"{seconds:.2f}"]
-        for other in others:
-            for name in errors:
-                rows = found.within(scene, other, seconds, name)
-                if not rows:
-                    cells.append("none is as fast")
-                    continue
-                error = _median(rows, name)
-                factor = f"{_median(own, name) / error:.2f}" if error > 0.0 else "–"
-                cells.append(f"{factor} at {rows[0]['budget']}, {_median(rows, 'seconds.total'):.2f} s")
-        lines.append("| " + " | ".join(cells) + " |")
+    natives = [
+        (method.name, found.select(scene, method.name, str(OWN))) for method in found.suite.methods if method.native
+    ]
+    natives = [(name, own) for name, own in natives if own]
     title = "### The renderer's own"
-    if not lines:
+    if not natives:
         return f"{title}\n\nNo run has finished."
-    return f"{title}\n\n| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|\n" + "\n".join(lines)
+    lines = []
+    for name, own in natives:
+        cells = [name, *(f"{_median(own, error):.3g}" for error in errors), _bias([row["bias"] for row in own])]
+        lines.append([*cells, f"{_median(own, 'spp'):.4g}", f"{_median(own, 'seconds.total'):.2f}"])
+    tables = [_grid(["the renderer's own", *errors.values(), "bias %", "spp", "seconds"], lines)]
+    others = [method.name for method in found.suite.methods if not method.native]
+    for cost in _COSTS:
+        head = [f"over {other} in no more {cost}: {title}" for other in others for title in errors.values()]
+        lines = [
+            [name, *(_no_dearer(found, scene, own, other, error, cost) for other in others for error in errors)]
+            for name, own in natives
+        ]
+        tables.append(_grid(["the renderer's own", *head], lines))
+    return "\n\n".join([title, *tables])
+
+
+def _no_dearer(found: Results, scene: str, own: Sequence[Row], other: str, error: str, cost: str) -> str:
+    """A renderer's own error over the least that a method has at no more cost, and what that costs."""
+    column, spelt = _COSTS[cost]
+    rows = found.within(scene, other, _median(own, column), error, column)
+    if not rows:
+        return "none costs as little"
+    over, under = (statistics.median_interval([known(row, error) for row in group]).median for group in (own, rows))
+    factor = f"{over / under:.2f}" if min(over, under) > 0.0 else "–"
+    return f"{factor} at {rows[0]['budget']}, {spelt.format(_median(rows, column))}"
+
+
+def _grid(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    rows = [head, ["---"] * len(head), *lines]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 def _notes(found: Results, rows: Sequence[Row]) -> str:
@@ -150,7 +166,7 @@ def _notes(found: Results, rows: Sequence[Row]) -> str:
     return (
         f"{first['width']}x{first['height']} pixels, {first['renderer']}, reference of "
         f"{first['reference.spp']} samples per pixel. Subtracted for its own noise: MSE {first['reference.mse']:.3g}, "
-        f"tvi error {first['reference.tvi_error']:.3g}. Standard error of its mean luminance: "
+        f"tvi error {first['reference.tvi_error']:.3g}{noise_left(first)}. Standard error of its mean luminance: "
         f"{100 * first['reference.bias']:.3f} %, not part of the biases' errors.{slope}"
     )
 

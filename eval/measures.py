@@ -52,9 +52,27 @@ def measure(image: Image, reference: Reference, white_luminance: float, names: I
 
 
 def reference_noise(reference: Reference, white_luminance: float) -> dict[str, float]:
-    """What the reference's own variance adds to the squared errors, and takes part in the bias: what is subtracted."""
-    added = Noise(reference.variance, reference.luminance_variance).added(reference.mean, white_luminance)
-    return {"mse": added["MSE"], "tvi_error": added["tvi error"], "bias": reference.bias_error}
+    """What a measured error owes to the reference's own noise, for the columns ``reference.*`` of a row.
+
+    ``mse`` and ``tvi_error``: what its variance adds to them, and is subtracted. ``mse.deviation`` and
+    ``tvi_error.deviation``: the standard deviation of what that leaves, ``sqrt(2 R / (R + 1) sum((w v)^2)) / N``
+    over N pixels of weight ``w``, channels taken as one: for normal noise whose variance ``v`` is estimated from R
+    replicates, so that ``v^2`` is too large by (R + 1) / (R - 1), and the error of ``v`` itself comes on top.
+    ``bias``: the standard error of its mean luminance, relative to it.
+    """
+    noise = Noise(reference.variance, reference.luminance_variance)
+    added = noise.added(reference.mean, white_luminance)
+    n = reference.luminance_variance.size
+    known = np.sqrt(2.0 * reference.replicates / (reference.replicates + 1)) / n
+    of_pixels = {
+        "mse": reference.variance.mean(axis=2, dtype=np.float64),
+        "tvi_error": threshold_deviation(
+            reference.luminance_variance.astype(np.float64), _luminance(reference.mean), white_luminance
+        )
+        ** 2,
+    }
+    left = {f"{name}.deviation": float(known * np.sqrt((v**2).sum())) for name, v in of_pixels.items()}
+    return {"mse": added["MSE"], "tvi_error": added["tvi error"], **left, "bias": reference.bias_error}
 
 
 def neyman(radiance: Any, reference: Reference, white_luminance: float, spp: float) -> dict[str, float | None]:

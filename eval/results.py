@@ -124,16 +124,16 @@ class Results:
         )
 
     def pairs(self, scene: str, budget: str, over: str, method: str, column: str) -> tuple[list[float], list[float]]:
-        """A column of two methods, seed by seed, of the seeds that both have."""
-        base = {row["seed"]: row[column] for row in self.select(scene, over, budget)}
-        own = {row["seed"]: row[column] for row in self.select(scene, method, budget)}
+        """An error of two methods, seed by seed, of the seeds that both have; 0 where it is not :func:`known`."""
+        base = {row["seed"]: known(row, column) for row in self.select(scene, over, budget)}
+        own = {row["seed"]: known(row, column) for row in self.select(scene, method, budget)}
         seeds = [seed for seed in own if seed in base]
         return [base[seed] for seed in seeds], [own[seed] for seed in seeds]
 
-    def within(self, scene: str, method: str, seconds: float, column: str) -> list[Row]:
-        """The rows of a method on a scene, at that of its budgets with the least median error in no more time.
+    def within(self, scene: str, method: str, limit: float, column: str, cost: str = "seconds.total") -> list[Row]:
+        """The rows of a method on a scene, at that of its budgets with the least median error at no more cost.
 
-        ``seconds`` is compared with the budget's median time; empty where every budget takes longer.
+        ``limit`` is compared with the budget's median of the column ``cost``; empty where every budget costs more.
         """
         (entry,) = (one for one in self.suite.scenes if one.name == scene)
         at_budgets = [self.select(scene, method, str(budget)) for budget in self.suite.budgets(entry)]
@@ -141,8 +141,8 @@ class Results:
         def median(rows: list[Row], name: str) -> float:
             return statistics.median_interval([row[name] for row in rows]).median
 
-        fast = [rows for rows in at_budgets if rows and median(rows, "seconds.total") <= seconds]
-        return min(fast, key=lambda rows: median(rows, column), default=[])
+        cheap = [rows for rows in at_budgets if rows and median(rows, cost) <= limit]
+        return min(cheap, key=lambda rows: median(rows, column), default=[])
 
     def slope(self, scene: str, method: str, column: str) -> statistics.Interval | None:
         """Slope of log error against log samples, over the seeds that have every budget in samples.
@@ -186,6 +186,22 @@ class Results:
             int(reference.metadata["pmc:replicates"]),
             alpha,
         )
+
+
+def known(row: Row, column: str) -> float:
+    """An error of a run; 0 where it is within three standard deviations of what the reference's noise leaves in it."""
+    return float(row[column]) if row[column] > 3.0 * row.get(f"reference.{column}.deviation", 0.0) else 0.0
+
+
+def noise_left(row: Row, number: Callable[[float], str] = "{:.2g}".format) -> str:
+    """How far the subtraction of the reference's noise may be wrong, in words; empty for rows that do not say it."""
+    titles = {"mse": "MSE", "tvi_error": "tvi error"}
+    parts = [
+        f"{title} {number(row[column])}"
+        for name, title in titles.items()
+        if (column := f"reference.{name}.deviation") in row
+    ]
+    return f"; the standard deviation of what that leaves: {', '.join(parts)}" if parts else ""
 
 
 def load(path: str | os.PathLike[str]) -> Results:

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from .. import compare, images, measures, metrics, statistics
-from ..results import Results, write_text
+from ..results import Results, noise_left, write_text
 from ..suite import OWN, Budget, Method, Scene, slug
 from . import figures, pictures, plots, words
 from .claims import claims
@@ -101,8 +101,8 @@ def _about(scene: Scene, rows: list[dict[str, Any]]) -> str:
     return (
         f"{row['width']}x{row['height']} pixels, {row['renderer']}, reference of {row['reference.spp']} samples "
         f"per pixel. Subtracted for the reference's own noise: MSE {figures.number(row['reference.mse'])}, tvi error "
-        f"{figures.number(row['reference.tvi_error'])}. Standard error of the reference's mean luminance: "
-        f"{100 * row['reference.bias']:.3f} %."
+        f"{figures.number(row['reference.tvi_error'])}{noise_left(row, figures.number)}. "
+        f"Standard error of the reference's mean luminance: {100 * row['reference.bias']:.3f} %."
     )
 
 

@@ -323,6 +323,9 @@ def made(method: str, seed: int, budget: str, error: float, bias: float) -> dict
     }
 
 
+SCALES = {"mse": 1.0, "tvi_error": 2.0}
+
+
 def test_the_page_has_factors_intervals_biases_and_slopes(tmp_path: Path) -> None:
     """Made rows: PMC has an eighth of the error of each seed's PT, whatever that seed's error is."""
     rows = []
@@ -369,6 +372,46 @@ def test_no_more_error_than_the_references_is_a_dash(tmp_path: Path) -> None:
     assert line.startswith("| PMC | -0.01 | – | -0.02 | – | – | – |")
     assert "Least:" not in text
     assert "of so few seeds" in text
+
+
+@pytest.mark.parametrize(("deviations", "factor"), [(0.2, "8.00 (8.00 to 8.00)"), (0.4, "–")])
+def test_an_error_within_what_the_references_noise_leaves_is_a_dash(
+    tmp_path: Path, deviations: float, factor: str
+) -> None:
+    """At most three standard deviations: 1/8 and 2/8 are five or two and a half of them."""
+    rows = [made(*of, 1.0 if of[0] == "PT" else 0.125, 0.0) for of in (("PT", 1, "4spp"), ("PMC", 1, "4spp"))]
+    for row in rows:
+        row |= {f"reference.{name}.deviation": deviations * 0.125 * scale for name, scale in SCALES.items()}
+    one_scene = dataclasses.replace(SUITE, scenes=SUITE.scenes[:1], seeds=1)
+    text = markdown.page(results.Results(tmp_path / "out", one_scene, rows, 0))
+    (line,) = (line for line in text.splitlines() if line.startswith("| PMC"))
+    assert line.startswith(f"| PMC | 0.125 | {factor} | 0.25 | {factor} |")
+    assert ("Least:" in text) == (factor != "–")
+    assert f"; the standard deviation of what that leaves: MSE {0.125 * deviations:.2g}, tvi error" in text
+
+
+def test_the_deviation_of_what_the_references_noise_leaves() -> None:
+    """By simulation: 4000 references of 5 replicates with normal noise, of which the true image is the test.
+
+    The standard deviation of 4000 values near to normal is known to about 1.3 %: 6 % is over four standard errors.
+    With the variance's own error or its square's bias forgotten it would be 11 % or 22 % off.
+    """
+    rng = np.random.default_rng(8)
+    true = rng.uniform(0.1, 2.0, (8, 8, 1)) * np.ones(3)
+    spread = true[..., :1] * rng.uniform(0.01, 0.1, (8, 8, 1))  # grey: the channels are as one
+    errors: dict[str, list[float]] = {"mse": [], "tvi_error": []}
+    told: dict[str, list[float]] = {"mse": [], "tvi_error": []}
+    for _ in range(4000):
+        replicates = true + spread * rng.standard_normal((5, 8, 8, 1))
+        variance = (replicates.var(axis=0, ddof=1) / 5).astype(np.float32)
+        mean = replicates.mean(axis=0).astype(np.float32)
+        reference = references.Reference(mean, variance, variance[..., 0], 5, 5, 0, 0.0, "made")
+        noise = measures.reference_noise(reference, 100.0)
+        for name, found in measures.measure(true, reference, 100.0, errors).items():
+            errors[name].append(found)
+            told[name].append(noise[f"{name}.deviation"])
+    for name, values in errors.items():
+        assert np.std(values) == pytest.approx(np.sqrt(np.mean(np.square(told[name]))), rel=0.06)
 
 
 def test_a_renderer_that_hangs_fails_its_runs(noisy: type, tmp_path: Path) -> None:

@@ -90,18 +90,25 @@ def test_set_up_counts_where_it_does_in_the_native_method(renderers: Any, tmp_pa
         assert row["samples"] > 4096
 
 
-def test_the_page_compares_in_no_more_time(renderers: Any, tmp_path: Path) -> None:
+def test_the_page_compares_at_no_more_cost(renderers: Any, tmp_path: Path) -> None:
+    """Grids of one and two samples a pixel, said to take 100 and 200 s; uniform sampling takes four, or 0.1 s."""
     benchmark.run(suite.parse(GIVEN), results.Folder(tmp_path), renderers, cache=tmp_path / "cache")
     found = results.load(tmp_path)
     assert found.within("diffuse", "PT", 1e-9, "mse") == []
+    assert found.within("diffuse", "PT", 3.9, "mse", "spp") == []
+    assert {row["budget"] for row in found.within("diffuse", "PT", 4.0, "mse", "spp")} == {"4spp"}
     best = found.within("diffuse", "PT", 100.0, "mse")
     assert {row["budget"] for row in best} == {"0.1s"}, "it has more samples than 4 a pixel, and less error"
-    page = markdown.page(found)
-    (line,) = (line for line in page.splitlines() if line.startswith("| grid 2"))
+    tables = markdown.page(found).split("### The renderer's own")[1].split("\n\n")
+    heads = [table.splitlines()[0] for table in tables if table.startswith("| the renderer's own")]
+    assert ["in no more time" in head for head in heads] == [False, True, False]
+    assert ["in no more samples" in head for head in heads] == [False, False, True]
+    _, of_time, of_samples = (line for table in tables for line in table.splitlines() if line.startswith("| grid 2"))
     own = found.select("diffuse", "grid 2", "own")
-    error = np.median([row["mse"] for row in best])
-    ratio = f"{np.median([row['mse'] for row in own]) / error:.2f}" if error > 0 else "–"  # or within the reference's
-    assert f"| {ratio} at 0.1s" in line
+    error = np.median([results.known(row, "mse") for row in best])
+    ratio = f"{np.median([row['mse'] for row in own]) / error:.2f}" if error > 0 else "–"
+    assert f"| {ratio} at 0.1s" in of_time
+    assert "none costs as little" in of_samples
 
 
 def test_what_has_no_way_of_its_own(renderers: Any, noisy: type, tmp_path: Path) -> None:
