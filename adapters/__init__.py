@@ -12,16 +12,19 @@ without an entry point, too.
 from __future__ import annotations
 
 import difflib
+import hashlib
 import importlib
 import inspect
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import metadata
+from pathlib import Path
 from typing import Any
 
 __all__ = ["Availability", "available", "load", "names", "native_settings", "version"]
 
 GROUP = "pmc_sampler.renderers"
+_CODE = {".py", ".cl"}  # what every installation has
 _OWN = {  # module within this package, class
     "analytic": "analytic:AnalyticRenderer",
     "mitsuba": "mitsuba:MitsubaRenderer",
@@ -87,18 +90,32 @@ def available() -> list[Availability]:
 
 def version(renderer: str) -> str:
     """What the images of a renderer depend on besides the scene: what its class says, else the version of the Python
-    package of that name, else nothing.
+    package of that name, else nothing; for one of the project's own, a digest of its adapter's code, too.
 
     Raises RuntimeError for a renderer that cannot run here.
     """
-    if renderer in names():
-        kind = _found(renderer)
-        if hasattr(kind, "version"):
-            return str(kind.version())
-    try:
-        return metadata.version(renderer)
-    except metadata.PackageNotFoundError:
-        return ""
+    kind = _found(renderer) if renderer in names() else None
+    if hasattr(kind, "version"):
+        said = str(kind.version())
+    else:
+        try:
+            said = metadata.version(renderer)
+        except metadata.PackageNotFoundError:
+            said = ""
+    module = inspect.getmodule(kind)
+    if renderer in _OWN and module is not None and module.__name__.startswith(f"{__name__}."):
+        said = f"{said}, adapter {_digest(Path(__file__).parent, renderer)}".removeprefix(", ")
+    return said
+
+
+def _digest(folder: Path, name: str) -> str:
+    """A short name for the code in a folder's module or package: a change in it may change the images."""
+    package = folder / name
+    files = sorted(path for path in package.rglob("*") if path.suffix in _CODE) or [package.with_suffix(".py")]
+    whole = hashlib.sha256()
+    for path in files:
+        whole.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return whole.hexdigest()[:12]
 
 
 def _found(name: str) -> Callable[..., Any]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from importlib import metadata
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -68,6 +70,24 @@ def test_versions(third_party: type, monkeypatch: pytest.MonkeyPatch) -> None:
     assert adapters.version("numpy") == metadata.version("numpy")
     monkeypatch.setattr(third_party, "version", classmethod(lambda cls: "2.0"), raising=False)
     assert adapters.version("theirs") == "2.0"
+
+
+def test_a_version_is_of_the_adapters_code_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A reference, a recording or a run that was made by other code is not taken for this one's."""
+    from pmc_sampler import adapters
+
+    assert re.fullmatch(r"adapter [0-9a-f]{12}", adapters.version("analytic"))
+    for name, files in {"package": ("package/a.py", "package/kernels/b.cl"), "single": ("single.py",)}.items():
+        for file in files:
+            (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+            (tmp_path / file).write_text("one")
+        for file in files:
+            before = adapters._digest(tmp_path, name)
+            assert adapters._digest(tmp_path, name) == before
+            (tmp_path / file).write_text("two")
+            assert adapters._digest(tmp_path, name) != before
+    monkeypatch.setattr(adapters, "_digest", lambda folder, name: "other")
+    assert adapters.version("analytic") == "adapter other"
 
 
 def test_unknown_names_and_options(third_party: type) -> None:
