@@ -95,7 +95,7 @@ def version(renderer: str) -> str:
     Raises RuntimeError for a renderer that cannot run here.
     """
     kind = _found(renderer) if renderer in names() else None
-    if hasattr(kind, "version"):
+    if kind is not None and hasattr(kind, "version"):
         said = str(kind.version())
     else:
         try:
