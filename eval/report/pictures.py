@@ -4,6 +4,7 @@ import base64
 import io
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ DARK = 0.01
 Pixels = NDArray[np.float32]
 
 
+_T = TypeVar("_T", bound=np.generic)
+
+
 @dataclass(frozen=True)
 class Crop:
     """A rectangle of an image in pixels: left, top, width, height; ``why`` it was chosen, or what is there."""
@@ -28,8 +32,8 @@ class Crop:
     height: int
     why: str
 
-    def of(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The crop of an image (height, width, ...)."""
+    def of(self, image: NDArray[_T]) -> NDArray[_T]:
+        """The crop of an image (height, width, ...), a view."""
         return image[self.top : self.top + self.height, self.left : self.left + self.width]
 
 

@@ -92,7 +92,7 @@ def test_a_report_has_the_verdicts(tmp_path: Path, noisy: type) -> None:
             "reference_spp": 64,
             "baseline": "PT",
             "metrics": ["tvi_error"],
-            "scene": [{"name": "diffuse"}, {"name": "thin-lens"}],
+            "scene": [{"name": "diffuse", "crops": {"the middle": [0.25, 0.25, 0.75, 0.75]}}, {"name": "thin-lens"}],
             "method": [
                 {"name": "PT", "sampler": "uniform"},
                 {"name": "paper", "sampler": "pmc", "preset": "paper", "radii": [1.0, 3.0]},
@@ -106,7 +106,9 @@ def test_a_report_has_the_verdicts(tmp_path: Path, noisy: type) -> None:
     found = results.load(tmp_path / "results")
     said = claims(found)
     assert {claim.where.split(",")[1].strip() for claim in said if "," in claim.where} == {"paper"}
-    assert len([claim for claim in said if claim.where.startswith("diffuse")]) == 3
+    texts = [claim.text.split(":")[0] for claim in said if claim.where.startswith("diffuse")]
+    assert [text.split()[0] for text in texts] == ["Less", "Less", "Slightly", "Small"]
+    assert "Less error there: the middle" in [claim.text for claim in said]
     html = page(found)
     assert html.count("Small radii at edges and in caustics") == 2
     assert 'id="claims"' in html
