@@ -105,15 +105,22 @@ def error_plot(found: Results, scene: Scene, metric: str) -> Plot | None:
     return Plot(_svg(draw, _panel_size(len(axes_shown), rows_of_legend)), alt, caption)
 
 
-def sweep_plot(found: Results, scene: Scene, metric: str, parameter: str, methods: Mapping[float, str]) -> Plot | None:
-    """A metric against the values of a setting, ``methods`` by value; a curve for each budget. None without runs."""
+def sweep_plot(found: Results, scene: Scene, metric: str, parameter: str, methods: Mapping[Any, str]) -> Plot | None:
+    """A metric against the values of a setting, ``methods`` by value; a curve for each budget. None without runs.
+
+    Values that are lists of numbers stand side by side, in order.
+    """
     curves = []
+    ordered = sorted(methods)
+    listed = bool(ordered) and isinstance(ordered[0], tuple)
+    names = [", ".join(f"{one:g}" for one in value) if listed else f"{value:g}" for value in ordered]
     for budget in scene.budgets:
         points = []
-        for value, name in sorted(methods.items()):
+        for place, value in enumerate(ordered):
+            name = methods[value]
             rows = found.select(scene.name, name, str(budget))
             if rows:
-                points.append((value, median_interval([row[metric] for row in rows])))
+                points.append((place, median_interval([row[metric] for row in rows])))
         if points:
             curves.append((str(budget), points))
     if not curves:
@@ -125,16 +132,21 @@ def sweep_plot(found: Results, scene: Scene, metric: str, parameter: str, method
         axes = _panel(figure, 0, 1, rows_of_legend)
         handles = {}
         for number, (name, points) in enumerate(curves):
-            handles[name] = _curve(axes, [value for value, _ in points], [interval for _, interval in points], number)
+            places = [place if listed else ordered[place] for place, _ in points]
+            handles[name] = _curve(axes, places, [interval for _, interval in points], number, joined=not listed)
         ends = [end for _, points in curves for _, i in points for end in (i.low, i.high)]
         if metric not in HIGHER_IS_BETTER and min(ends) > 0:
             _log_axis(axes, "y", ends)
+        if listed:
+            axes.set_xticks(range(len(names)), names)
+            axes.set_xmargin(0.1)
         axes.set_xlabel(parameter)
         axes.set_ylabel(label(metric))
         _legend(figure, handles)
 
     alt = f"{label(metric)} on {scene.name} against {parameter}: " + "; ".join(
-        f"at {name} " + ", ".join(f"{i.median:.3g} for {value:g}" for value, i in points) for name, points in curves
+        f"at {name} " + ", ".join(f"{i.median:.3g} for {names[place]}" for place, i in points)
+        for name, points in curves
     )
     size = _panel_size(1, rows_of_legend)
     return Plot(_svg(draw, size), alt, f"{label(metric)} against the setting {parameter}.")

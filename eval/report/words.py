@@ -142,17 +142,27 @@ def provenance(found: Results) -> list[tuple[str, str]]:
     ]
 
 
-def sweeps(found: Results) -> list[tuple[str, dict[float, str]]]:
-    """Settings with three numbers or more among methods that are the same otherwise: (setting, method by value)."""
-    groups: dict[tuple[str, str], dict[float, str]] = {}
+Value = float | tuple[float, ...]
+
+
+def sweeps(found: Results) -> list[tuple[str, dict[Value, str]]]:
+    """Settings with three values or more among methods that are the same otherwise: (setting, method by value).
+
+    Values are numbers, or lists of numbers such as radii, of which a setting has one kind.
+    """
+    groups: dict[tuple[str, str], dict[Value, str]] = {}
     for method in found.suite.methods:
-        for name, value in method.settings.items():
-            if isinstance(value, int | float) and not isinstance(value, bool):
-                rest = {key: other for key, other in method.settings.items() if key != name}
-                identity = json.dumps(
-                    [rest, method.numbers, dict(method.on), method.scenes], sort_keys=True, default=str
-                )
-                groups.setdefault((name, identity), {})[float(value)] = method.name
+        for name, given in method.settings.items():
+            listed = isinstance(given, list | tuple)
+            values = given if listed else [given]
+            if not all(isinstance(value, int | float) and not isinstance(value, bool) for value in values):
+                continue
+            rest = {key: other for key, other in method.settings.items() if key != name}
+            identity = json.dumps(
+                [rest, method.numbers, dict(method.on), method.scenes, listed], sort_keys=True, default=str
+            )
+            value = tuple(float(one) for one in values) if listed else float(given)
+            groups.setdefault((name, identity), {})[value] = method.name
     return [(name, methods) for (name, _), methods in groups.items() if len(methods) > 2]
 
 

@@ -308,6 +308,25 @@ def made(method: str, seed: int, error: float, bias: float) -> dict[str, Any]:
     }
 
 
+def test_lists_are_swept_as_numbers_are(tmp_path: Path) -> None:
+    """Radii side by side in their order, each with its error; of numbers and lists no mixture."""
+    given = {"name": "radii {radii}", "sampler": "pmc", "sweep": {"radii": [[50.0], [0.5, 1.5, 4.0], [5.0]]}}
+    pt = {"name": "PT", "sampler": "uniform"}
+    one = suite.parse(
+        {
+            **{"name": "test", "about": "Radii.", "size": [8, 8], "spp": [4], "seeds": 1, "renderer": "noisy"},
+            **{"reference_spp": 64, "baseline": "PT", "scene": [{"name": "diffuse"}], "method": [pt, given]},
+        }
+    )
+    names = {tuple(m.settings["radii"]): m.name for m in one.methods[1:]}
+    assert words.sweeps(results.Results(tmp_path, one, [], 0)) == [("radii", names)]
+    rows = [made(name, 1, float(radii[0]), 0.0) for radii, name in names.items()]
+    found = results.Results(tmp_path, one, rows, 0)
+    plot = plots.sweep_plot(found, one.scenes[0], "mse", "radii", names)
+    assert plot is not None
+    assert plot.alt == "MSE on diffuse against radii: at 4spp 0.5 for 0.5, 1.5, 4, 5 for 5, 50 for 50"
+
+
 def test_gains_stand_beside_their_bias(tmp_path: Path) -> None:
     """PMC has an eighth of the error of each seed's PT, whatever that seed's error is."""
     rows = []
