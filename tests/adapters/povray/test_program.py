@@ -103,6 +103,21 @@ def test_memory_that_runs_out_is_an_error(program: Any, clean: None, monkeypatch
         assert re.search(r"std::bad_alloc \(out of memory\)$|before it said why \(out of memory\?\)$", error)
 
 
+def test_a_scene_that_writes_without_end_is_ended(program: Any, clean: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """At the size that a file may have: 64 KiB here. Below it, it is left alone."""
+    blocks = f"ulimit -f {program._FILE_BLOCKS};"
+    assert program._WATCHED.startswith(blocks)
+    monkeypatch.setattr(program, "_WATCHED", program._WATCHED.replace(blocks, "ulimit -f 128;"))
+    line = '#write (F, "' + 63 * "x" + '\n")'
+    text = '#fopen F "big.txt" write #declare I = 0; #while (I < {}) ' + line + " #declare I = I + 1; #end #fclose F\n"
+    with program.private_folder() as folder:
+        result = program.run(folder, text.format(10**9), TINY, 60)
+        assert result.error == "POV-Ray was ended by the signal SIGXFSZ (a file of more than 8 GiB)"
+        assert (folder / "big.txt").stat().st_size <= 1 << 16
+    with program.private_folder() as folder:
+        assert program.run(folder, text.format(100), TINY, 60).error == ""
+
+
 def test_a_message_that_is_lost_is_said_to_be(program: Any) -> None:
     said = "[Parsing...]\nFatal error in parser: Cannot parse input.\nRender failed\n"
     assert program.Result(1, said, 1.0, 1.0).error.endswith("ended before it said why (out of memory?)")
