@@ -89,6 +89,7 @@ def main(arguments: list[str] | None = None) -> int:
     keys = {reference.key for reference in found.values()}
     rows = [row for row in log.rows if "seed" in row and row["reference"] in keys and row["budget"] == options.spp]
     rows = [row for row in rows if row["seed"] <= _seeds(options, row["renderer"])]
+    rows = [row for row in rows if row.get("code") in (None, fingerprint()) and "metrics" in row]
     text = page(options, rows, list(found))
     (options.output / "peers.md").write_text(text, encoding="utf-8")
     figure(options.output / "peers.png", rows, found)

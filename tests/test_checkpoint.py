@@ -95,6 +95,21 @@ def test_everything_given_is_restored(tmp_path: Path) -> None:
     assert np.array_equal(again.film.aovs, sampler.film.aovs)
 
 
+@pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
+@pytest.mark.parametrize("block", ["film.score", "film.tiles"])
+def test_weights_that_no_samples_give_are_refused(block: str, value: float) -> None:
+    """They are whole, but not ours: drawing by them would lead anywhere."""
+    sampler = Sampler(40, 30, Budget(spp=20), Config(initial_spp=2, batch=400), seed=1)
+    for _ in range(8):
+        batch = sampler.ask()
+        sampler.tell(batch, np.random.default_rng(batch.number).random((len(batch), 3), np.float32))
+    blocks = {name: data.copy() for name, data in sampler._native.save().items()}
+    Sampler(40, 30, Budget(spp=20), sampler.config, seed=1)._native.restore(blocks)
+    blocks[block].view(np.float32 if block == "film.score" else np.float64)[0] = value
+    with pytest.raises(RuntimeError, match="film is damaged: it has weights that no samples give"):
+        Sampler(40, 30, Budget(spp=20), sampler.config, seed=1)._native.restore(blocks)
+
+
 def test_a_finished_sampler_stays_finished(tmp_path: Path) -> None:
     for budget in (Budget(spp=2), Budget(seconds=1e-9), Budget(visible_noise=0.5)):
         sampler = Sampler(20, 15, budget)

@@ -95,7 +95,7 @@ public:
         batch.scramble.renew(n + direct);
         batch.slot.renew(n + direct);
         batch.tag.renew(n + direct);
-        batch.place.resize(batch.iteration_samples);
+        batch.place.renew(batch.iteration_samples);
         threads.ranges(tiles, 4, [&](std::size_t first, std::size_t last) {
             const auto start = [&](std::size_t t) { return starts_[t] + (direct ? proposals.direct_starts[t] : 0); };
             for (std::size_t t = first, group = first; t < last; ++t) {
@@ -116,7 +116,7 @@ private:
         std::uint32_t proposal, pass;
         std::uint8_t local, tag;
     };
-    static constexpr std::size_t together = 8;  // tiles whose samples are placed at once: many, but still in the first cache
+    static constexpr std::size_t together = 8;  // tiles whose samples are placed at once: many, but still in the nearest caches
 
     // The samples of a tile, `begin` the first of them in the batch: sorted by pixel, and in each those of beta first.
     void arrange_tile(std::uint32_t tile, std::size_t begin, std::span<const std::uint32_t> of_beta, std::span<const Entry> others, Film& film, Batch& batch) {

@@ -50,17 +50,25 @@ public:
         batch->iteration_samples = 0;
         batch->evaluated.clear();
         // The last to hold it may be another thread, or outlive the sampler.
-        return {batch.release(), [spare = spare_](Batch* used) {
+        return {batch.release(), [to = std::weak_ptr<Spare>(spare_)](Batch* used) {
                     std::unique_ptr<Batch> kept(used);
+                    const auto spare = to.lock();
+                    if (!spare) return;
                     const std::lock_guard lock(spare->mutex);
-                    if (spare->batches.size() < most) spare->batches.push_back(std::move(kept));
+                    if (spare->batches.size() < spare->most) spare->batches.push_back(std::move(kept));
                 }};
+    }
+    // No batch will be taken any more.
+    void end() {
+        const std::lock_guard lock(spare_->mutex);
+        spare_->most = 0;
+        spare_->batches.clear();
     }
 
 private:
-    static constexpr std::size_t most = 2;
     struct Spare {
-        Spare() { batches.reserve(most); }
+        Spare() { batches.reserve(most); }  // so that to put one back needs no memory
+        std::size_t most = 2;
         std::mutex mutex;
         std::vector<std::unique_ptr<Batch>> batches;
     };

@@ -163,8 +163,8 @@ inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint3
     });
 }
 
-// Lays out `size` proposals of a batch: some that are given, the population's (batch.iteration_samples of them: moves, then
-// regenerated members, those of the pool last), and the pool's for the rest.
+// Lays out `size` proposals of a batch: those that are given or the population's (batch.iteration_samples of them: moves, then
+// regenerated members, those of the pool last), and the pool's for the rest. Where some are given there is no population.
 inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std::uint32_t> given) {
     Population& population = population_of(batch.number);
     const std::size_t own = batch.iteration_samples;

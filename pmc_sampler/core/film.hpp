@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <stdexcept>
 #include <vector>
 
 #include "batch.hpp"
@@ -284,9 +285,21 @@ public:
         a.array("film.tiles", tiles_);
         a.array("film.aov_sums", aov_sums);
         a.value("film.samples", samples);
+        if constexpr (Archive::reading)
+            if (!steers()) throw std::runtime_error("the checkpoint's film is damaged: it has weights that no samples give");
     }
 
 private:
+    // Whether what is drawn from is finite and not negative.
+    bool steers() const {
+        const auto sound = [](double value) { return value >= 0.0 && value <= std::numeric_limits<float>::max(); };
+        for (std::size_t i = 0; i < score_.size(); ++i)
+            if (!sound(score_[i])) return false;
+        for (std::size_t t = 0; t < tiles_.size(); ++t)
+            if (!(tiles_[t].weight >= 0.0 && std::isfinite(tiles_[t].weight) && tiles_[t].crowding >= 0.0 && sound(tiles_[t].passes))) return false;
+        return true;
+    }
+
     using Pair = double __attribute__((vector_size(2 * sizeof(double))));
 
     // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.

@@ -3,6 +3,7 @@
 
 #include <cstddef>
 #include <cstdlib>
+#include <limits>
 #include <memory>
 #include <new>
 #include <span>
@@ -10,10 +11,17 @@
 #include <utility>
 
 // AddressSanitizer sees what comes from the heap alone.
+#if defined(__has_feature)
+#if __has_feature(address_sanitizer)
+#define __SANITIZE_ADDRESS__ 1
+#endif
+#endif
 #if defined(__linux__) && !defined(__SANITIZE_ADDRESS__)
-#define PMC_HUGE_PAGES
+#define PMC_HUGE_PAGES 1
 #include <sys/mman.h>
 #include <unistd.h>
+#else
+#define PMC_HUGE_PAGES 0
 #endif
 
 namespace pmc {
@@ -25,7 +33,7 @@ class Block {
 public:
     Block() = default;
     Block(std::size_t bytes, bool zeroed) {
-#ifdef PMC_HUGE_PAGES
+#if PMC_HUGE_PAGES
         if (bytes >= huge) {
             mapped_ = bytes + huge;
             block_ = mmap(nullptr, mapped_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
@@ -48,7 +56,7 @@ public:
         return *this;
     }
     ~Block() {
-#ifdef PMC_HUGE_PAGES
+#if PMC_HUGE_PAGES
         if (mapped_) {
             munmap(block_, mapped_);
             return;
@@ -62,7 +70,7 @@ private:
     static constexpr std::size_t line = 64;
     static constexpr std::size_t huge = std::size_t(2) << 20;
 
-#ifdef PMC_HUGE_PAGES
+#if PMC_HUGE_PAGES
     static std::size_t physical() {  // bytes of the machine's memory
         static const std::size_t bytes = static_cast<std::size_t>(sysconf(_SC_PHYS_PAGES)) * static_cast<std::size_t>(sysconf(_SC_PAGESIZE));
         return bytes;
@@ -82,13 +90,22 @@ private:
     std::size_t mapped_ = 0;
 };
 
+// The bytes of so many elements; throws where no memory could hold them.
+template <class T>
+std::size_t bytes_of(std::size_t size) {
+    if (size > static_cast<std::size_t>(std::numeric_limits<std::ptrdiff_t>::max()) / sizeof(T)) throw std::bad_array_new_length();
+    return size * sizeof(T);
+}
+
 // Fixed-size zeroed storage. A large film costs its memory only where samples fall: pages come into being when they are touched.
 template <class T>
 class Zeroed {
     static_assert(std::is_trivially_copyable_v<T>);
 
 public:
-    explicit Zeroed(std::size_t size) : size_(size), block_(size * sizeof(T), true), data_(static_cast<T*>(block_.data())) {}
+    explicit Zeroed(std::size_t size) : size_(size), block_(bytes_of<T>(size), true), data_(static_cast<T*>(block_.data())) {}
+    Zeroed(const Zeroed&) = delete;
+    Zeroed& operator=(const Zeroed&) = delete;
     T& operator[](std::size_t i) { return data_[i]; }
     const T& operator[](std::size_t i) const { return data_[i]; }
     std::size_t size() const { return size_; }
@@ -96,9 +113,9 @@ public:
     const T* data() const { return data_; }
 
 private:
-    std::size_t size_;
-    Block block_;
-    T* data_;
+    const std::size_t size_;
+    const Block block_;
+    T* const data_;
 };
 
 // A growing buffer whose new elements are not initialised: batches are overwritten whole, so zeroing them is wasted time. What is in it
@@ -108,6 +125,15 @@ class Buffer {
     static_assert(std::is_trivially_copyable_v<T>);
 
 public:
+    Buffer() = default;
+    Buffer(Buffer&& other) noexcept { *this = std::move(other); }
+    Buffer& operator=(Buffer&& other) noexcept {
+        size_ = std::exchange(other.size_, 0);
+        capacity_ = std::exchange(other.capacity_, 0);
+        data_ = std::exchange(other.data_, nullptr);
+        block_ = std::move(other.block_);
+        return *this;
+    }
     void resize(std::size_t size) {
         if (size > capacity_) allocate(size);
         size_ = size;
@@ -129,7 +155,7 @@ private:
         size_ = capacity_ = 0;
         data_ = nullptr;
         block_ = Block();  // before there are two
-        block_ = Block(size * sizeof(T), false);
+        block_ = Block(bytes_of<T>(size), false);
         data_ = static_cast<T*>(block_.data());
         capacity_ = size;
     }

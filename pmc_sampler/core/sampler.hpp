@@ -210,7 +210,7 @@ private:
         if (!config.is_uniform() && config.adapt_beta_every > 1 && told_ % config.adapt_beta_every == 0) film_.adapt_beta(threads_);
         if (done_ == Done::no && budget.visible_noise >= 0.0 && film_.samples + rejected_ >= initial_ && film_.visible_noise(threads_) <= budget.visible_noise)
             done_ = Done::visible_noise;
-        done();
+        if (done() != Done::no) batches_.end();
     }
 
     void catch_up() {

@@ -100,10 +100,11 @@ public:
                 to.start(t, i);
                 if (!(film_.tile_weight(t) > 0.0)) continue;
                 const double tile_end = weight + film_.tile_weight(t);
-                const std::size_t end = t == last_with_weight ? block_end : std::min(block_end, before(tile_end));
-                if (end > i) draw(static_cast<std::uint32_t>(t), place(weight) - static_cast<double>(i), scale, end - i, to.from(i));
+                const std::size_t end = t == last_with_weight ? block_end : std::clamp(before(tile_end), i, block_end);
+                // Above -1 by its definition, and by rounding no longer where the weights until then are next to nothing.
+                if (end > i) draw(static_cast<std::uint32_t>(t), std::max(place(weight) - static_cast<double>(i), -1.0 + 0x1p-53), scale, end - i, to.from(i));
                 weight = tile_end;
-                i = std::max(i, end);
+                i = end;
             }
         });
         to.start(tiles, count);
@@ -121,12 +122,12 @@ private:
         for (std::uint32_t word = 0; word < Tiling::area / 64; ++word) {
             for (std::uint64_t bits = drawn[word]; bits; bits &= bits - 1) {
                 const std::uint32_t i = 64 * word + static_cast<std::uint32_t>(std::countr_zero(bits));
-                for (std::int32_t k = 0; k < counts[i]; ++k, ++n) to.put(tile * Tiling::area + i);
+                for (std::int32_t k = 0; k < counts[i] && n < count; ++k, ++n) to.put(tile * Tiling::area + i);
             }
         }
         if (n == count) return;
-        // The sums are rounded, each in its own way: a draw that falls between them goes to some pixel with weight.
-        const auto some = std::find_if(std::begin(w.pixel), std::end(w.pixel), [](float weight) { return weight > 0.0f; }) - std::begin(w.pixel);
+        // The sums are rounded, each in its own way: a draw that falls between them goes to the pixel with the largest weight.
+        const auto some = std::max_element(std::begin(w.pixel), std::end(w.pixel)) - std::begin(w.pixel);
         for (; n < count; ++n) to.put(tile * Tiling::area + static_cast<std::uint32_t>(some));
     }
 

@@ -7,7 +7,9 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 import sys
+import textwrap
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -117,6 +119,34 @@ def test_a_missing_package_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> N
         Peer("cycles", {}, "no/such/python")  # type: ignore[typeddict-item]
     with pytest.raises(ValueError, match="no peer is called 'arnold'"):
         Peer("arnold", {})  # type: ignore[typeddict-item]
+
+
+def test_a_peers_memory_manager_is_in_place_from_the_beginning(tmp_path: Path) -> None:
+    """A package that brings one with it is started again with it, once; the loader finds it by name, spaces or not."""
+    folder = tmp_path / "site with spaces"
+    (folder / "some_peer").mkdir(parents=True)
+    (folder / "some_peer" / "__init__.py").touch()
+    text = f"""
+        import os, runpy, sys
+        sys.path.insert(0, {str(folder)!r})
+        preload = runpy.run_path({str(process._WORKERS / "__main__.py")!r})["preload"]
+        os.execve = lambda path, words, environment: print(environment["LD_PRELOAD"], environment["LD_LIBRARY_PATH"])
+        preload("some_peer")
+        os.environ["PMC_PEER_PRELOADED"] = "1"
+        preload("some_peer")
+    """
+
+    def started() -> str:
+        words = [sys.executable, "-c", textwrap.dedent(text)]
+        environment = {**os.environ, "LD_LIBRARY_PATH": ""}
+        return subprocess.run(words, check=True, capture_output=True, text=True, env=environment).stdout
+
+    assert started() == ""
+    libraries = folder / "some_peer.libs"
+    libraries.mkdir()
+    for name in ("libtbbmalloc_proxy-1.so.2", "libtbbmalloc-1.so.2", "libother.so"):
+        (libraries / name).touch()
+    assert started() == f"libtbbmalloc-1.so.2 libtbbmalloc_proxy-1.so.2 {libraries}\n"
 
 
 def test_counts_from_their_shares() -> None:

@@ -6,6 +6,7 @@
 #include <limits>
 #include <map>
 #include <memory>
+#include <new>
 #include <random>
 #include <stdexcept>
 #include <string>
@@ -172,6 +173,36 @@ void drive(unsigned threads) {
     read_pictures(*sampler);
 }
 
+// More bytes than there can be are refused, whatever their number is in 64 bits.
+template <class T>
+void refuse(std::size_t size) {
+    try {
+        pmc::Buffer<T>().resize(size);
+    } catch (const std::bad_alloc&) {
+        return;
+    }
+    require(false, "a buffer is as large as was asked for");
+}
+
+void check_buffers() {
+    refuse<std::uint8_t>(~std::size_t(0));
+    refuse<std::uint32_t>(std::size_t(1) << 62);
+    refuse<std::uint32_t>(~std::size_t(0));
+    for (const std::size_t size : {std::size_t(3), std::size_t(3) << 20}) {  // on the heap, and in pages of its own
+        pmc::Buffer<std::uint32_t> a;
+        a.resize(size);
+        a[size - 1] = 7;
+        pmc::Buffer<std::uint32_t> b = std::move(a);
+        a.resize(size);
+        a[size - 1] = 8;
+        require(b.size() == size && b[size - 1] == 7, "what is moved is another's no more");
+        b = std::move(a);
+        require(b[size - 1] == 8 && a.size() == 0, "what is moved is another's no more");
+        b.renew(1);
+        b[0] = 9;
+    }
+}
+
 }  // namespace
 
 int main(int argc, char** argv) {
@@ -179,6 +210,7 @@ int main(int argc, char** argv) {
     generator.seed(std::strtoull(argv[1], nullptr, 10));
     const int samplers = std::atoi(argv[2]);
     try {
+        check_buffers();
         for (int i = 0; i < samplers; ++i) drive(static_cast<unsigned>(std::atoi(argv[3])));
     } catch (const std::exception& error) {
         std::fprintf(stderr, "%s\n", error.what());

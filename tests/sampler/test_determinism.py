@@ -37,16 +37,19 @@ def finished(some: Sampler, radiance: Any, tools: SimpleNamespace) -> tuple[dict
     return tools.pictures(some), tools.state(some)
 
 
+@pytest.mark.parametrize("size", [(530, 271), (528, 272)])
 @pytest.mark.parametrize("name", SETTINGS)
-def test_threads(name: str, renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
-    """Large enough that the work is cut into pieces: sorting at 65536 samples a piece, blocks of 256 tiles."""
+def test_threads(name: str, size: tuple[int, int], renderers: SimpleNamespace, tools: SimpleNamespace) -> None:
+    """Large enough that the work is cut into pieces: sorting and the pool at 16384 samples a piece, blocks of 64 tiles.
+    With whole tiles alone the pool's pieces are written side by side; with others one after the other.
+    """
     changes = {"batch": 200_000, "initial_spp": 1.0, "regenerate_jitter": 2.0}
     if "population" in SETTINGS[name]:
         changes["population"] = 30_000
     settings = config(name, 1, **changes)
     results = []
     for threads in (1, 2, 16):
-        some = Sampler(530, 271, Budget(spp=4), settings, seed=5, threads=threads)
+        some = Sampler(*size, Budget(spp=4), settings, seed=5, threads=threads)
         results.append(finished(some, renderers.textured, tools))
     assert results[0] == results[1] == results[2]
 

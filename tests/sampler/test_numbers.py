@@ -163,6 +163,23 @@ def test_a_speck_leaves_the_rest_alone(index: int, place: str, renderers: Simple
     np.testing.assert_allclose(film.mean.sum((0, 1), np.float64), film.pool_mean.sum((0, 1), np.float64), rtol=1e-5)
 
 
+def test_next_to_no_weight_before_the_first_draw() -> None:
+    """The first tile's weight is so small that it vanishes in the place of the first draw, and the pixel after it has
+    none: there was one draw too many once, beyond the memory for them. With this seed the offset of the draws is 0,
+    as in one batch of 2^24. Counts are exact; what was beyond the memory a sanitizer sees (`.ci/sanitize`).
+    """
+
+    def radiance(batch: Batch) -> np.ndarray:
+        u = np.random.default_rng(batch.number).random(len(batch), np.float32)
+        values = np.where(batch.pixel % 32 < 16, 1e-9 * u, np.where(batch.pixel == 16, 0.0, u))
+        return np.repeat(values[:, None], 3, axis=1).astype(np.float32)
+
+    sampler = Sampler(32, 16, Budget(spp=64), Config(initial_spp=4), seed=125821, threads=1)
+    sampler.run(radiance)
+    assert sampler.samples == 64 * 32 * 16
+    assert sampler.film.samples.sum() == sampler.samples
+
+
 @pytest.mark.parametrize("value", [1e18, 1e20, 1e30, 3e38])
 def test_a_speck_draws_no_more_than_noise_where_the_image_is_unbiased(value: float, renderers: SimpleNamespace) -> None:
     """A sample of the pool whose square no float can hold. It raises its neighbours' share, as one of 1e12 does; an

@@ -53,10 +53,12 @@ def preload(package: str) -> None:
     if PRELOADED in os.environ or spec is None or spec.origin is None:
         return
     folder = Path(spec.origin).parent.with_name(f"{package}.libs")
-    found = [str(path) for path in sorted(folder.glob("libtbbmalloc*.so*"))]
+    # By name, for paths with spaces: the folder is searched.
+    found = sorted(path.name for path in folder.glob("libtbbmalloc*.so*"))
     if found:
+        libraries = " ".join(filter(None, [os.environ.get("LD_PRELOAD"), *found]))
         path = os.pathsep.join(filter(None, [str(folder), os.environ.get("LD_LIBRARY_PATH")]))
-        preloaded = {"LD_PRELOAD": " ".join(found), "LD_LIBRARY_PATH": path, PRELOADED: "1"}
+        preloaded = {"LD_PRELOAD": libraries, "LD_LIBRARY_PATH": path, PRELOADED: "1"}
         os.execve(sys.executable, [sys.executable, *sys.argv], {**os.environ, **preloaded})
 
 
