@@ -61,6 +61,8 @@ def plot(axis: Any, found: results.Results, scene: Any) -> None:
             rows = found.select(scene.name, method.name, str(budget))
             if rows:
                 points.append([np.median([row[name] for row in rows]) for name in ("seconds.total", "tvi_error")])
+        if not points:  # a method of other scenes
+            continue
         x, y = np.array(sorted(points)).T
         label = "POV-Ray's own" if method.native else method.name
         shown = axis.get_legend_handles_labels()[1]
