@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -93,15 +94,28 @@ def test_the_benchmark_of_peers(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     main = script("benchmarks/peers.py").main
     words = ["-o", str(tmp_path / "out"), "--size", "32x24", "--spp", "4", "--seeds", "2", "--reference-spp", "16"]
-    words += ["--own-seeds", "2"]
+    words += ["--own-seeds", "3"]
     assert main([*words, "--peers"]) == 0
     page = (tmp_path / "out" / "peers.md").read_text()
     assert "| our OpenCL tracer | PMC | 4.0 |" in page
     assert images.read(tmp_path / "out" / "peers.png").rgb.std() > 0.0
     rows = (tmp_path / "out" / "peers.jsonl").read_text()
-    assert rows.count("\n") == 4
+    made = [json.loads(line) for line in rows.splitlines()]
+    assert {(row["renderer"], row["seed"], str(row["method"]), "ssim" in row) for row in made} == {
+        (renderer, seed, method, seed < 3)
+        for renderer in ("opencl", "recorded")
+        for seed in (1, 2, 3)
+        for method in ("{}", "{'sampler': 'PMC'}")
+    }
+    assert len(made) == 12
     assert main([*words, "--peers"]) == 0
     assert (tmp_path / "out" / "peers.jsonl").read_text() == rows
+    # Runs of other code stay in the file and count for nothing.
+    others = "".join(json.dumps({**row, "code": "other", "mse": 1e6}) + "\n" for row in made)
+    (tmp_path / "out" / "peers.jsonl").write_text(rows + others)
+    assert main([*words, "--peers"]) == 0
+    assert (tmp_path / "out" / "peers.md").read_text() == page
+    (tmp_path / "out" / "peers.jsonl").write_text(rows)
     capsys.readouterr()
     assert main([*words, "--peers", "cycles", "--python", "no/such/python"]) == 2
     assert "cannot be run" in capsys.readouterr().err.splitlines()[-1]

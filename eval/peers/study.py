@@ -1,7 +1,7 @@
 """Adaptive against uniform sampling of one renderer: runs, and the budget at which they meet."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from .. import measures, metrics, statistics
@@ -17,11 +17,11 @@ PILOT_SEED = 0x5EED_FF00
 """Of the renders that look for a threshold; measured runs have small seeds, and references their own."""
 
 
-def row(picture: Picture, reference: Reference, white_luminance: float) -> Row:
-    """The figures of a run: all metrics, bias of mean luminance, achieved samples per pixel, seconds."""
+def row(picture: Picture, reference: Reference, white_luminance: float, names: Iterable[str] = measures.DEFAULT) -> Row:
+    """The figures of a run: metrics, bias of mean luminance, achieved samples per pixel, seconds."""
     return {
         "spp": picture.spp,
-        **measures.measure(picture.rgb, reference, white_luminance, measures.DEFAULT),
+        **measures.measure(picture.rgb, reference, white_luminance, names),
         "bias": metrics.bias(picture.rgb, reference.mean),
         "reference_bias": reference.bias_error,
         "seconds": picture.seconds,
