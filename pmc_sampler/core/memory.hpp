@@ -103,19 +103,18 @@ class Zeroed {
     static_assert(std::is_trivially_copyable_v<T>);
 
 public:
-    explicit Zeroed(std::size_t size) : size_(size), block_(bytes_of<T>(size), true), data_(static_cast<T*>(block_.data())) {}
+    explicit Zeroed(std::size_t size) : size_(size), block_(bytes_of<T>(size), true) {}
     Zeroed(const Zeroed&) = delete;
     Zeroed& operator=(const Zeroed&) = delete;
-    T& operator[](std::size_t i) { return data_[i]; }
-    const T& operator[](std::size_t i) const { return data_[i]; }
+    T& operator[](std::size_t i) { return data()[i]; }
+    const T& operator[](std::size_t i) const { return data()[i]; }
     std::size_t size() const { return size_; }
-    T* data() { return data_; }
-    const T* data() const { return data_; }
+    T* data() { return static_cast<T*>(block_.data()); }
+    const T* data() const { return static_cast<const T*>(block_.data()); }
 
 private:
     const std::size_t size_;
     const Block block_;
-    T* const data_;
 };
 
 // A growing buffer whose new elements are not initialised: batches are overwritten whole, so zeroing them is wasted time. What is in it
@@ -130,7 +129,6 @@ public:
     Buffer& operator=(Buffer&& other) noexcept {
         size_ = std::exchange(other.size_, 0);
         capacity_ = std::exchange(other.capacity_, 0);
-        data_ = std::exchange(other.data_, nullptr);
         block_ = std::move(other.block_);
         return *this;
     }
@@ -143,26 +141,23 @@ public:
         if (size > capacity_ || 4 * size < capacity_) allocate(size);
         size_ = size;
     }
-    T& operator[](std::size_t i) { return data_[i]; }
-    const T& operator[](std::size_t i) const { return data_[i]; }
+    T& operator[](std::size_t i) { return data()[i]; }
+    const T& operator[](std::size_t i) const { return data()[i]; }
     std::size_t size() const { return size_; }
-    T* data() { return data_; }
-    const T* data() const { return data_; }
-    std::span<const T> span() const { return {data_, size_}; }
+    T* data() { return static_cast<T*>(block_.data()); }
+    const T* data() const { return static_cast<const T*>(block_.data()); }
+    std::span<const T> span() const { return {data(), size_}; }
 
 private:
     void allocate(std::size_t size) {
         size_ = capacity_ = 0;
-        data_ = nullptr;
         block_ = Block();  // before there are two
         block_ = Block(bytes_of<T>(size), false);
-        data_ = static_cast<T*>(block_.data());
         capacity_ = size;
     }
 
     std::size_t size_ = 0, capacity_ = 0;
     Block block_;
-    T* data_ = nullptr;
 };
 
 }  // namespace pmc
