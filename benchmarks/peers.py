@@ -89,7 +89,8 @@ def main(arguments: list[str] | None = None) -> int:
     keys = {reference.key for reference in found.values()}
     rows = [row for row in log.rows if "seed" in row and row["reference"] in keys and row["budget"] == options.spp]
     rows = [row for row in rows if row["seed"] <= _seeds(options, row["renderer"])]
-    rows = [row for row in rows if row.get("code") in (None, fingerprint()) and "metrics" in row]
+    ours = {None, fingerprint()}
+    rows = [row for row in rows if row.get("code") in ours and "metrics" in row]
     text = page(options, rows, list(found))
     (options.output / "peers.md").write_text(text, encoding="utf-8")
     figure(options.output / "peers.png", rows, found)
@@ -183,7 +184,7 @@ def _study(
         for settings, (samples, given) in zip(methods, asked, strict=True):
             _say(f"{TITLES[name]}: seed {seed}, {_settings(settings)}")
             # The further seeds are for the bias: other metrics take longer than these renders.
-            kind, names = ("all", measures.DEFAULT) if seed <= options.seeds else ("errors", tuple(study.ERRORS))
+            kind, names = ("all", measures.DEFAULT) if seed <= options.seeds else ("errors", tuple(measures.ERRORS))
             log.once(
                 {**known, "method": settings, "samples": samples, "settings": given, "seed": seed, "metrics": kind},
                 lambda: study.row(rendered(samples, seed, given), reference, WHITE_LUMINANCE, names),  # noqa: B023
@@ -251,7 +252,7 @@ def page(options: argparse.Namespace, rows: Sequence[study.Row], renderers: Sequ
 
 def _others(rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
     """A table of the other metrics: medians over seeds, of uniform sampling and, after it, of each adaptive setting."""
-    names = [name for name in measures.DEFAULT if name not in study.ERRORS]
+    names = [name for name in measures.DEFAULT if name not in measures.ERRORS]
     lines = [
         "All other metrics: medians over the seeds that all have, at the samples that were taken, with the noise of "
         "each one's reference.",
@@ -271,7 +272,7 @@ def _line(rows: Sequence[study.Row], name: str, settings: Mapping[str, Any]) -> 
     own, base = (_of(rows, name, which) for which in (settings, UNIFORM))
     cells = [TITLES[name], _settings(settings, own[0]["settings"])]
     cells.append(f"{np.mean([row['spp'] for row in own]):.1f}")
-    for error in study.ERRORS:
+    for error in measures.ERRORS:
         cells.append(f"{np.median([row[error] for row in own]):.3g}")
         cells.append("1" if settings == UNIFORM else _interval(study.gains(own, base, error)))
     cells += [_bias(own), f"{100 * own[0]['reference_bias']:.2f}"]
@@ -284,7 +285,7 @@ def _verdict(rows: Sequence[study.Row], renderers: Sequence[str]) -> list[str]:
     lines = []
     for name in [name for name in renderers if name in PACKAGES]:
         base = _of(rows, name, UNIFORM)
-        for error, title in study.ERRORS.items():
+        for error, title in measures.ERRORS.items():
             groups = [(settings, _of(rows, name, settings)) for settings in ADAPTIVE[name]]
             settings, own = max(groups, key=lambda group: study.gains(group[1], base, error).median)
             theirs = study.gains(own, base, error)
@@ -323,7 +324,7 @@ def figure(path: Path, rows: Sequence[study.Row], found: Mapping[str, Reference]
         middle = np.array([gain.median for gain in gains])
         ends = np.array([[gain.median - gain.low, gain.high - gain.median] for gain in gains]).T
         factors.errorbar(
-            middle, np.arange(len(labels)) + shift, xerr=ends, fmt=mark, capsize=3, label=study.ERRORS[error]
+            middle, np.arange(len(labels)) + shift, xerr=ends, fmt=mark, capsize=3, label=measures.ERRORS[error]
         )
     factors.set_yticks(range(len(labels)), [f"{TITLES[name]}: {_settings(one)}" for name, one in labels])
     factors.set_xscale("log")

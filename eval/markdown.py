@@ -4,11 +4,9 @@ import json
 from collections.abc import Mapping, Sequence
 
 from . import statistics
+from .measures import ERRORS
 from .results import Results, Row, known, noise_left
 from .suite import OWN, shipped
-
-ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
-"""The columns that the page has factors of, where the suite measures them."""
 
 
 def page(found: Results) -> str:
@@ -83,12 +81,11 @@ def _table(found: Results, scene: str, budget: str) -> str:
         cells += [_bias([row["bias"] for row in own]), _bias([row["plain_bias"] for row in own])]
         cells += [f"{_median(own, 'spp'):.4g}", f"{_median(own, 'seconds.total'):.2f}"]
         cells += [_share(own, "renderer"), _share(own, "sampler")]
-        lines.append("| " + " | ".join(cells) + " |")
+        lines.append(cells)
     title = f"### {budget.removesuffix('spp')} samples per pixel" if budget.endswith("spp") else f"### {budget[:-1]} s"
     if not lines:
         return f"{title}\n\nNo run has finished."
-    table = f"{title}\n\n| " + " | ".join(head) + " |\n" + "|---" * len(head) + "|\n" + "\n".join(lines)
-    return "\n\n".join((table, *_least(found, scene, budget, errors)))
+    return "\n\n".join((title, _grid(head, lines), *_least(found, scene, budget, errors)))
 
 
 def _least(found: Results, scene: str, budget: str, errors: Mapping[str, str]) -> list[str]:
@@ -148,8 +145,8 @@ def _no_dearer(found: Results, scene: str, own: Sequence[Row], other: str, error
 
 
 def _grid(head: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    rows = [head, ["---"] * len(head), *lines]
-    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
+    rows = [f"| {' | '.join(row)} |" for row in (head, *lines)]
+    return "\n".join([rows[0], "|---" * len(head) + "|", *rows[1:]])
 
 
 def _notes(found: Results, rows: Sequence[Row]) -> str:

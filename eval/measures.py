@@ -42,6 +42,10 @@ MEASURES: dict[str, Measure] = {
 }
 """Functions of (image, reference, white_luminance); the reference's own noise is subtracted where it can be."""
 
+ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
+"""The squared errors, from which the noise of the reference is subtracted and which fall in proportion to the samples;
+what they are called in tables."""
+
 DEFAULT = tuple(MEASURES)
 """What is measured unless a suite says otherwise: all."""
 

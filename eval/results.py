@@ -195,10 +195,9 @@ def known(row: Row, column: str) -> float:
 
 def noise_left(row: Row, number: Callable[[float], str] = "{:.2g}".format) -> str:
     """How far the subtraction of the reference's noise may be wrong, in words; empty for rows that do not say it."""
-    titles = {"mse": "MSE", "tvi_error": "tvi error"}
     parts = [
         f"{title} {number(row[column])}"
-        for name, title in titles.items()
+        for name, title in measures.ERRORS.items()
         if (column := f"reference.{name}.deviation") in row
     ]
     return f"; the standard deviation of what that leaves: {', '.join(parts)}" if parts else ""

@@ -10,9 +10,6 @@ from .process import Picture
 
 Row = dict[str, Any]
 
-ERRORS = {"mse": "MSE", "tvi_error": "tvi error"}
-"""The squared errors, whose noise of the reference is subtracted and which fall in proportion to the samples."""
-
 PILOT_SEED = 0x5EED_FF00
 """Of the renders that look for a threshold; measured runs have small seeds, and references their own."""
 

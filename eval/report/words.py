@@ -4,7 +4,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from ..markdown import ERRORS
+from ..measures import ERRORS
 from ..results import Results, Row
 from ..statistics import Interval, mean_error, median_interval, ratio_interval
 from ..suite import OWN, Budget, Scene
