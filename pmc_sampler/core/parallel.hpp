@@ -2,8 +2,9 @@
 // must depend on i alone, never on the thread that ran it.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
-#include <condition_variable>
+#include <cstdint>
 #include <exception>
 #include <functional>
 #include <mutex>
@@ -17,17 +18,30 @@ public:
     // threads counts the caller too; 0 means one for each processor.
     explicit ThreadPool(unsigned threads = 0) : size_(threads ? threads : std::max(1u, std::thread::hardware_concurrency())) {}
     ~ThreadPool() {
-        {
-            std::lock_guard lock(mutex_);
-            stop_ = true;
-        }
-        wake_.notify_all();
+        stop_ = true;
+        wake();
         for (auto& worker : workers_) worker.join();
     }
     ThreadPool(const ThreadPool&) = delete;
     ThreadPool& operator=(const ThreadPool&) = delete;
 
     unsigned size() const { return size_; }
+
+    // As long as one lives the threads wait on their feet: many a task takes less time than waking up does. Nobody is to wait
+    // for others meanwhile, such as the renderer, which needs the processors itself.
+    class Awake {
+    public:
+        explicit Awake(ThreadPool& threads) : threads_(threads) {
+            threads_.awake_ = true;
+            threads_.wake();
+        }
+        ~Awake() { threads_.awake_ = false; }
+        Awake(const Awake&) = delete;
+        Awake& operator=(const Awake&) = delete;
+
+    private:
+        ThreadPool& threads_;
+    };
 
     template <class Task>
     void run(std::size_t count, Task&& task) {
@@ -38,18 +52,15 @@ public:
         // Threads start with the first work for them: a sampler that is only asked about its settings has none.
         while (workers_.size() + 1 < size_) workers_.emplace_back([this] { work(); });
         const std::function<void(std::size_t)> function = [&task](std::size_t i) { task(i); };
-        {
-            std::lock_guard lock(mutex_);
-            task_ = &function;
-            count_ = count;
-            next_ = 0;
-            error_ = nullptr;
-        }
-        wake_.notify_all();
-        drain(function, count);
-        std::unique_lock lock(mutex_);
-        task_ = nullptr;  // whoever wakes up only now is not waited for: that takes longer than many a task
-        idle_.wait(lock, [this] { return busy_ == 0; });
+        error_ = nullptr;
+        count_ = count;
+        next_ = 0;
+        task_ = &function;
+        if (!awake_) wake();
+        drain(function);
+        task_ = nullptr;  // whoever comes only now is not waited for
+        for (unsigned busy; (busy = busy_) != 0;)
+            if (!spin([this] { return busy_ == 0; })) busy_.wait(busy);
         if (error_) std::rethrow_exception(error_);
     }
 
@@ -61,40 +72,58 @@ public:
     }
 
 private:
-    void drain(const std::function<void(std::size_t)>& task, std::size_t count) {
-        for (std::size_t i; (i = next_.fetch_add(1)) < count;) {
+    void drain(const std::function<void(std::size_t)>& task) {
+        for (std::size_t i; (i = next_++) < count_;) {
             try {
                 task(i);
             } catch (...) {
-                std::lock_guard lock(mutex_);
+                const std::lock_guard lock(mutex_);
                 if (!error_) error_ = std::current_exception();
             }
         }
     }
+    // Takes part in what is run; false where there is nothing to do. The task lives until no thread is busy: one that counts itself
+    // in before it looks for the task finds either one that waits for it, or none.
+    bool help() {
+        if (!task_ || next_ >= count_) return false;
+        ++busy_;
+        const std::function<void(std::size_t)>* task = task_;
+        if (task) drain(*task);
+        if (--busy_ == 0) busy_.notify_one();
+        return true;
+    }
     void work() {
-        std::unique_lock lock(mutex_);
-        for (;;) {
-            wake_.wait(lock, [this] { return stop_ || (task_ && next_ < count_); });
-            if (stop_) return;
-            const std::function<void(std::size_t)>* task = task_;
-            const std::size_t count = count_;
-            ++busy_;
-            lock.unlock();
-            drain(*task, count);
-            lock.lock();
-            if (--busy_ == 0) idle_.notify_one();
+        while (!stop_) {
+            const std::uint32_t before = calls_;
+            if (help()) continue;
+            if (awake_)
+                std::this_thread::yield();
+            else
+                calls_.wait(before);
         }
+    }
+    void wake() {
+        ++calls_;
+        calls_.notify_all();
+    }
+    // Whether something becomes so shortly.
+    template <class Condition>
+    static bool spin(Condition&& condition) {
+        for (int i = 0; i < 200; ++i) {
+            if (condition()) return true;
+            std::this_thread::yield();
+        }
+        return false;
     }
 
     unsigned size_;
     std::vector<std::thread> workers_;
+    std::atomic<const std::function<void(std::size_t)>*> task_{nullptr};
+    std::atomic<std::size_t> count_{0}, next_{0};
+    std::atomic<unsigned> busy_{0};  // threads at the task, the caller's not among them
+    std::atomic<std::uint32_t> calls_{0};  // how often sleeping threads were called
+    std::atomic<bool> awake_{false}, stop_{false};
     std::mutex mutex_;
-    std::condition_variable wake_, idle_;
-    const std::function<void(std::size_t)>* task_ = nullptr;
-    std::size_t count_ = 0;
-    std::atomic<std::size_t> next_{0};
-    unsigned busy_ = 0;  // workers at the task
-    bool stop_ = false;
     std::exception_ptr error_;
 };
 

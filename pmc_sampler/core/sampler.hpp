@@ -68,7 +68,10 @@ public:
             throw std::logic_error("ask: " + counted(open_.size()) + " open" +
                                    (waiting_.empty() ? "" : ", " + std::to_string(waiting_.size()) + " told out of turn wait for the first of them,") +
                                    " and lookahead is " + std::to_string(config.lookahead) + ": tell or drop batch " + std::to_string(told_) + " first");
-        if (prepared_.empty()) prepare();
+        if (prepared_.empty()) {
+            const ThreadPool::Awake awake(threads_);
+            prepare();
+        }
         if (prepared_.empty())
             throw std::logic_error(open_.empty() && waiting_.empty() ? "ask: the budget is spent; read the film, or make a sampler with a larger budget"
                                                  : "ask: all samples of the budget are drawn and " + counted(open_.size()) + " open: tell or drop what is open");
@@ -87,6 +90,7 @@ public:
         if (radiance.size() != expected)
             throw std::invalid_argument("tell: got " + std::to_string(radiance.size()) + " values for batch " + std::to_string(batch.number) + ", expected " +
                                         std::to_string(batch.size()) + " samples of " + std::to_string(channels) + " channels");
+        const ThreadPool::Awake awake(threads_);
         check_mostly_valid(batch, radiance);
         const auto kept = open->second;
         open_.erase(open);
