@@ -16,29 +16,13 @@
 #include "multiversion.hpp"
 #include "parallel.hpp"
 #include "perception.hpp"
+#include "pixel_sums.hpp"
 #include "rounding.hpp"
 #include "smoother.hpp"
 #include "tile_weights.hpp"
 #include "tiling.hpp"
 
 namespace pmc {
-
-// What every sample changes: one cache line.
-struct PixelSums {
-    double sum[3];            // of radiance, all samples
-    Reals40<4> m2;            // sums of squared deviations from the mean: red, green, blue, luminance
-    float half_mean[3];       // mean radiance of every other sample
-    std::uint32_t n, n_pool;  // samples, and those of them from the pool
-
-    std::uint32_t n_half() const { return n / 2 + n % 2; }
-};
-static_assert(sizeof(PixelSums) == 64);
-
-inline constexpr std::array<double, 1024> reciprocals = [] {
-    std::array<double, 1024> table{};
-    for (int i = 1; i < 1024; ++i) table[i] = 1.0 / i;
-    return table;
-}();
 
 // Whether all values are from `lowest` to `highest`; NaN is not.
 PMC_MULTIVERSION inline bool all_within(const float* values, std::size_t n, float lowest, float highest) {
@@ -67,18 +51,26 @@ public:
             return i;
         };
         threads.ranges(n, 2048, [&](std::size_t first, std::size_t last) {
-            std::uint64_t bad = 0;
-            const std::size_t begin = boundary(first), end = boundary(last);
-            const bool clean = all_valid(radiance + begin * (3 + aovs), end - begin);
-            for (std::size_t i = begin, next; i < end; i = next) {
-                next = i;
-                do {
-                    if (next + ahead < end) fetch(slot[next + ahead], batch.tag[next + ahead]);
-                } while (++next < end && slot[next] == slot[i]);
-                bad += add_pixel(batch, i, next, radiance, clean, luminances);
-                tiles_[slot[i] / Tiling::area].stale |= live_;
+            const std::size_t begin = boundary(first), size = boundary(last) - begin, channels = 3 + aovs;
+            const Told told{slot + begin, batch.tag.data() + begin, radiance + begin * channels, channels, size};
+            const bool clean = all_valid(told.radiance, size);
+            if (luminances) write_luminances(told, luminances + begin);
+            if (clean) return add_valid(told);
+            std::vector<std::uint32_t> slots;
+            std::vector<std::uint8_t> tags;
+            std::vector<float> values;
+            for (std::size_t i = 0; i < size; ++i) {
+                const float* v = told.radiance + i * channels;
+                if (valid(v)) {
+                    slots.push_back(told.slot[i]);
+                    tags.push_back(told.tag[i]);
+                    values.insert(values.end(), v, v + channels);
+                } else if (luminances) {
+                    luminances[begin + i] = std::numeric_limits<float>::quiet_NaN();
+                }
             }
-            rejected += bad;
+            rejected += size - slots.size();
+            add_valid({slots.data(), tags.data(), values.data(), channels, slots.size()});
         });
         samples += n - rejected;
         return rejected;
@@ -300,95 +292,59 @@ private:
         return true;
     }
 
-    using Pair = double __attribute__((vector_size(2 * sizeof(double))));
-
-    // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
-    static constexpr std::size_t ahead = 12;
-    // Inlined by force: GCC takes a function of prefetches alone for one without effect, and drops the call.
-    [[gnu::always_inline]] void fetch(std::size_t slot, std::uint8_t tag) const {
-        __builtin_prefetch(&sums[slot], 1);
-        if ((tag & Tag::pool) && !uniform_) __builtin_prefetch(&pool_mean[slot], 1);
-        if ((tag & Tag::kernel_mask) != Tag::no_kernel) __builtin_prefetch(&strategy[slot], 1);
+    void add_valid(const Told& told) {
+        Moments moments;
+        for (std::size_t first = 0, last; first < told.size; first = last) {
+            last = first + add_to_sums(sums.data(), (const char*)pool_mean.data(), (const char*)strategy.data(), told.from(first, told.size), moments);
+            add_to_pool(told.from(first, last));
+            count_strategies(told.from(first, last));
+            for (std::size_t i = first; i < last; ++i)
+                for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[std::size_t(told.slot[i]) * aovs + c] += told.radiance[i * told.stride + 3 + c];
+            if (!live_) continue;
+            for (std::size_t i = 0; i < moments.size; ++i) {
+                const std::size_t slot = moments.slot[i];
+                score_[slot] = score_at(moments.variance[i], moments.mean[i]);
+                tiles_[slot / Tiling::area].stale = true;
+            }
+        }
     }
 
-    // Samples [first, last) of a batch, all of one pixel; how many of them are left out, none where they are known to be `clean`.
-    // Deviations are taken from the mean before each sample (Welford 1962, doi:10.1080/00401706.1962.10490022), as n x - sum, which is
-    // exactly 0 where all are equal: a large mean with a tiny spread loses nothing. What is kept in fewer bits is rounded once, at the end.
-    std::uint64_t add_pixel(const Batch& batch, std::size_t first, std::size_t last, const float* radiance, bool clean, float* luminances) {
-        const std::size_t slot = batch.slot[first];
-        PixelSums& p = sums[slot];
-        // Red and green, blue and luminance: vectors of the width that every x86-64 and 64-bit Arm processor has.
-        Pair sum_rg = {p.sum[0], p.sum[1]}, m2_rg = {p.m2.get(0), p.m2.get(1)}, m2_by = {p.m2.get(2), p.m2.get(3)};
-        Pair half_rg = {p.half_mean[0], p.half_mean[1]};
-        double sum_b = p.sum[2], half_b = p.half_mean[2], pool[3] = {};
-        std::uint32_t n = p.n, n_pool = p.n_pool;
-        for (std::size_t i = first; i < last; ++i) {
-            const float* v = radiance + i * (3 + aovs);
-            if (!clean && !valid(v)) {
-                if (luminances) luminances[i] = std::numeric_limits<float>::quiet_NaN();
-                continue;
+    // After their sums.
+    void add_to_pool(const Told& told) {
+        if (uniform_) return;
+        std::uint32_t of_pool[8 * Moments::most];
+        (void)of_pool;
+        for (std::size_t i = 0; i < told.size; ++i) {
+            if (!(told.tag[i] & Tag::pool)) continue;
+            const std::size_t slot = told.slot[i];
+            std::uint32_t later = 0;
+            for (std::size_t j = i + 1; j < told.size && told.slot[j] == slot; ++j) later += (told.tag[j] & Tag::pool) != 0;
+            const std::uint32_t before = sums[slot].n_pool - 1 - later;
+            const float* v = told.radiance + i * told.stride;
+            double pool[3];
+            for (int c = 0; c < 3; ++c) pool[c] = pool_mean[slot].get(c);
+            const double weight = reciprocal(before + 1);
+            if (unbiased_) {
+                const double d = luminance(v[0] - pool[0], v[1] - pool[1], v[2] - pool[2]);
+                // Never infinite: what it is multiplied by may be 0.
+                pool_m2[slot] = std::min(pool_m2[slot] + static_cast<float>(d * d * before * weight), std::numeric_limits<float>::max());
             }
-            if (luminances) luminances[i] = static_cast<float>(luminance(double(v[0]), double(v[1]), double(v[2])));
-            const double count = n, inverse = reciprocal(n), share = count * reciprocal(n + 1);
-            const Pair x_rg = {v[0], v[1]}, d_rg = (x_rg * count - sum_rg) * inverse;
-            const double d_b = (v[2] * count - sum_b) * inverse;
-            const Pair d_by = {d_b, luminance(d_rg[0], d_rg[1], d_b)};
-            m2_rg += d_rg * d_rg * share;
-            m2_by += d_by * d_by * share;
-            sum_rg += x_rg;
-            sum_b += v[2];
-            // A weight of 0 costs less than a branch that nobody can predict.
-            const double half_weight = reciprocal(n / 2 + 1) * double(1 - n % 2);
-            half_rg += (x_rg - half_rg) * half_weight;
-            half_b += (v[2] - half_b) * half_weight;
-            ++n;
-            if (batch.tag[i] & Tag::pool) {
-                if (!uniform_) {
-                    if (n_pool == p.n_pool)
-                        for (int c = 0; c < 3; ++c) pool[c] = pool_mean[slot].get(c);
-                    const double weight = reciprocal(n_pool + 1);
-                    if (unbiased_) {
-                        const double d = luminance(v[0] - pool[0], v[1] - pool[1], v[2] - pool[2]);
-                        // Never infinite: what it is multiplied by may be 0.
-                        pool_m2[slot] = std::min(pool_m2[slot] + static_cast<float>(d * d * n_pool * weight), std::numeric_limits<float>::max());
-                    }
-                    for (int c = 0; c < 3; ++c) pool[c] += (v[c] - pool[c]) * weight;
-                }
-                ++n_pool;
-            }
-            const std::uint32_t kernel = batch.tag[i] & Tag::kernel_mask;
-            if (kernel != Tag::no_kernel) count_strategy(strategy[slot], kernel);
-            for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[slot * aovs + c] += v[3 + c];
+            for (int c = 0; c < 3; ++c) pool[c] += (v[c] - pool[c]) * weight;
+            pool_mean[slot].set(pool, dither(before));
         }
-        const std::uint64_t taken = n - p.n;
-        if (taken) {
-            const std::uint32_t rounding = dither(n);
-            if (live_) score_[slot] = n < 2 ? 0.0f : score_at(m2_by[1] * reciprocal(n - 1), luminance(sum_rg[0], sum_rg[1], sum_b) * reciprocal(n));
-            p.sum[0] = sum_rg[0];
-            p.sum[1] = sum_rg[1];
-            p.sum[2] = sum_b;
-            p.m2.set({m2_rg[0], m2_rg[1], m2_by[0], m2_by[1]}, rounding);
-            // Rounding to the nearest float does for as many samples as most pixels have.
-            const auto as_float = [&](double mean) { return n < 4096 ? static_cast<float>(mean) : rounded(mean, rounding); };
-            p.half_mean[0] = as_float(half_rg[0]);
-            p.half_mean[1] = as_float(half_rg[1]);
-            p.half_mean[2] = as_float(half_b);
-            if (n_pool != p.n_pool && !uniform_) pool_mean[slot].set(pool, rounding);
-            p.n = n;
-            p.n_pool = n_pool;
+    }
+
+    void count_strategies(const Told& told) {
+        for (std::size_t i = 0; i < told.size; ++i) {
+            const std::uint32_t kernel = told.tag[i] & Tag::kernel_mask;
+            if (kernel != Tag::no_kernel) count_strategy(strategy[told.slot[i]], kernel);
         }
-        return last - first - taken;
     }
 
     static void count_strategy(std::array<std::uint16_t, 3>& counts, std::uint32_t kernel) {
         if (counts[kernel] == std::numeric_limits<std::uint16_t>::max())
             for (std::uint16_t& c : counts) c /= 2;
         ++counts[kernel];
-    }
-
-    // Divisions by small counts are the dearest part of a sample; these are looked up.
-    static double reciprocal(std::uint32_t n) {
-        return n < reciprocals.size() ? reciprocals[n] : 1.0 / n;
     }
 
     // What beta owes to a pixel's samples other than their number: var / tvi^2, or the paper's var / tvi, of their luminance.

@@ -16,7 +16,7 @@ namespace pmc {
 class ThreadPool {
 public:
     // threads counts the caller too; 0 means one for each processor.
-    explicit ThreadPool(unsigned threads = 0) : size_(threads ? threads : std::max(1u, std::thread::hardware_concurrency())) {}
+    explicit ThreadPool(unsigned threads = 0) : size_(threads ? threads : std::max(1u, std::thread::hardware_concurrency())), shares_(size_) {}
     ~ThreadPool() {
         stop_ = true;
         wake();
@@ -50,14 +50,17 @@ public:
             return;
         }
         // Threads start with the first work for them: a sampler that is only asked about its settings has none.
-        while (workers_.size() + 1 < size_) workers_.emplace_back([this] { work(); });
+        while (workers_.size() + 1 < size_) workers_.emplace_back([this, thread = static_cast<unsigned>(workers_.size()) + 1] { work(thread); });
         const std::function<void(std::size_t)> function = [&task](std::size_t i) { task(i); };
         error_ = nullptr;
-        count_ = count;
-        next_ = 0;
+        for (unsigned t = 0; t < size_; ++t) {
+            shares_[t].next = count * t / size_;
+            shares_[t].end = count * (t + 1) / size_;
+        }
+        ++runs_;
         task_ = &function;
         if (!awake_) wake();
-        drain(function);
+        drain(function, 0);
         task_ = nullptr;  // whoever comes only now is not waited for
         for (unsigned busy; (busy = busy_) != 0;)
             if (!spin([this] { return busy_ == 0; })) busy_.wait(busy);
@@ -72,30 +75,37 @@ public:
     }
 
 private:
-    void drain(const std::function<void(std::size_t)>& task) {
-        for (std::size_t i; (i = next_++) < count_;) {
-            try {
-                task(i);
-            } catch (...) {
-                const std::lock_guard lock(mutex_);
-                if (!error_) error_ = std::current_exception();
+    // Begins with what is the thread's own.
+    void drain(const std::function<void(std::size_t)>& task, unsigned thread) {
+        for (unsigned k = 0; k < size_; ++k) {
+            Share& share = shares_[(thread + k) % size_];
+            for (std::size_t i; (i = share.next++) < share.end;) {
+                try {
+                    task(i);
+                } catch (...) {
+                    const std::lock_guard lock(mutex_);
+                    if (!error_) error_ = std::current_exception();
+                }
             }
         }
     }
-    // Takes part in what is run; false where there is nothing to do. The task lives until no thread is busy: one that counts itself
-    // in before it looks for the task finds either one that waits for it, or none.
-    bool help() {
-        if (!task_ || next_ >= count_) return false;
+    // Takes part in what is run, unless it did already; false where there is nothing to do. The task lives until no thread is busy:
+    // one that counts itself in before it looks for the task finds either one that waits for it, or none.
+    bool help(unsigned thread, std::uint64_t& helped) {
+        if (!task_ || runs_ == helped) return false;
         ++busy_;
-        const std::function<void(std::size_t)>* task = task_;
-        if (task) drain(*task);
+        if (const std::function<void(std::size_t)>* task = task_) {
+            helped = runs_;
+            drain(*task, thread);
+        }
         if (--busy_ == 0) busy_.notify_one();
         return true;
     }
-    void work() {
+    void work(unsigned thread) {
+        std::uint64_t helped = 0;
         while (!stop_) {
             const std::uint32_t before = calls_;
-            if (help()) continue;
+            if (help(thread, helped)) continue;
             if (awake_)
                 std::this_thread::yield();
             else
@@ -116,10 +126,18 @@ private:
         return false;
     }
 
+    // What each thread begins with: the same part of the whole in every run, so that what it wrote is still in its caches. Who is
+    // done with it goes on with the others'.
+    struct alignas(64) Share {
+        std::atomic<std::size_t> next{0};
+        std::size_t end = 0;
+    };
+
     unsigned size_;
+    std::vector<Share> shares_;
     std::vector<std::thread> workers_;
     std::atomic<const std::function<void(std::size_t)>*> task_{nullptr};
-    std::atomic<std::size_t> count_{0}, next_{0};
+    std::atomic<std::uint64_t> runs_{0};
     std::atomic<unsigned> busy_{0};  // threads at the task, the caller's not among them
     std::atomic<std::uint32_t> calls_{0};  // how often sleeping threads were called
     std::atomic<bool> awake_{false}, stop_{false};

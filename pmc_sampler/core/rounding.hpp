@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <bit>
 #include <cstdint>
+#include <cstring>
 #include <limits>
 
 namespace pmc {
@@ -24,11 +25,26 @@ inline float rounded(double value, std::uint32_t dither) {
     return static_cast<float>(std::bit_cast<double>(bits >> dropped << dropped));
 }
 
+using Quad = double __attribute__((vector_size(4 * sizeof(double))));
+using QuadFloat = float __attribute__((vector_size(4 * sizeof(float))));
+
 // N <= 4 numbers of 40 bits each: doubles with a mantissa of 28 bits. Those that a float can hold are held exactly.
 template <int N>
 class Reals40 {
 public:
     double get(int i) const { return std::bit_cast<double>(std::uint64_t(high_[i]) << 32 | ((low_ << 8 * i) & 0xff000000u)); }
+    // All four, and likewise below.
+    [[gnu::always_inline]] Quad get() const requires(N == 4) {
+        const std::uint64_t low = low_;
+        const Words high = {high_[0], high_[1], high_[2], high_[3]};
+        return std::bit_cast<Quad>(high << 32 | ((Words{low, low, low, low} << places) & 0xff000000u));
+    }
+    [[gnu::always_inline]] void set(Quad values, std::uint32_t dither) requires(N == 4) {
+        const Words bits = std::bit_cast<Words>(values) + (dither >> 8), low = (bits & 0xff000000u) >> places;
+        const auto high = __builtin_convertvector(bits >> 32, QuadWord);
+        std::memcpy(high_, &high, sizeof(high_));
+        low_ = static_cast<std::uint32_t>(low[0] | low[1] | low[2] | low[3]);
+    }
     void set(const double (&values)[N], std::uint32_t dither) {
         low_ = 0;
         for (int i = 0; i < N; ++i) {
@@ -39,6 +55,10 @@ public:
     }
 
 private:
+    using Words = std::uint64_t __attribute__((vector_size(4 * sizeof(std::uint64_t))));
+    using QuadWord = std::uint32_t __attribute__((vector_size(4 * sizeof(std::uint32_t))));
+    static constexpr Words places = {0, 8, 16, 24};
+
     std::uint32_t high_[N], low_;  // the low bytes, the first number's on top
 };
 

@@ -1,0 +1,145 @@
+// What every sample changes in its pixel, and how.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <cstring>
+
+#include "batch.hpp"
+#include "multiversion.hpp"
+#include "perception.hpp"
+#include "rounding.hpp"
+
+namespace pmc {
+
+// One cache line.
+struct PixelSums {
+    double sum[3];            // of radiance, all samples
+    Reals40<4> m2;            // sums of squared deviations from the mean: red, green, blue, luminance
+    float half_mean[3];       // mean radiance of every other sample
+    std::uint32_t n, n_pool;  // samples, and those of them from the pool
+
+    std::uint32_t n_half() const { return n / 2 + n % 2; }
+};
+static_assert(sizeof(PixelSums) == 64);
+
+inline constexpr std::array<double, 1024> reciprocals = [] {
+    std::array<double, 1024> table{};
+    for (int i = 1; i < 1024; ++i) table[i] = 1.0 / i;
+    return table;
+}();
+
+// Divisions by small counts are the dearest part of a sample; these are looked up. 0 for 0.
+[[gnu::always_inline]] inline double reciprocal(std::uint32_t n) { return n < reciprocals.size() ? reciprocals[n] : 1.0 / n; }
+
+// The sums while samples are added. Deviations are taken from the mean before each sample (Welford 1962,
+// doi:10.1080/00401706.1962.10490022), as n x - sum, which is exactly 0 where all are equal: a large mean with a tiny spread loses
+// nothing. What is kept in fewer bits is rounded once, at the end. Red, green, blue and luminance lie side by side: all is done to
+// four numbers at once. Inlined by force, to be compiled for the instruction set of whoever calls it.
+class RunningSums {
+public:
+    [[gnu::always_inline]] explicit RunningSums(const PixelSums& p)
+        : n(p.n), sum_{p.sum[0], p.sum[1], p.sum[2], 0.0}, m2_(p.m2.get()), half_(quad(p.half_mean)) {}
+
+    [[gnu::always_inline]] void add(const float* rgb) {
+        const Quad x = quad(rgb);
+        const double count = n, inverse = reciprocal(n), share = count * reciprocal(n + 1);
+        Quad deviation = (x * count - sum_) * inverse;
+        deviation[3] = of_luminance(deviation);
+        m2_ += deviation * deviation * share;
+        sum_ += x;
+        // A weight of 0 costs less than a branch that nobody can predict.
+        half_ += (x - half_) * (reciprocal(n / 2 + 1) * double(1 - n % 2));
+        ++n;
+    }
+    [[gnu::always_inline]] void store(PixelSums& p) const {
+        const std::uint32_t rounding = dither(n);
+        for (int c = 0; c < 3; ++c) p.sum[c] = sum_[c];
+        p.m2.set(m2_, rounding);
+        if (n < 4096) {  // rounding to the nearest float does for as many samples as most pixels have
+            const auto nearest = __builtin_convertvector(half_, QuadFloat);
+            for (int c = 0; c < 3; ++c) p.half_mean[c] = nearest[c];
+        } else {
+            for (int c = 0; c < 3; ++c) p.half_mean[c] = rounded(half_[c], rounding);
+        }
+        p.n = n;
+    }
+    // Of luminance; the variance is 0 for a single sample.
+    [[gnu::always_inline]] double variance() const { return m2_[3] * reciprocal(n - 1); }
+    [[gnu::always_inline]] double mean() const { return of_luminance(sum_) * reciprocal(n); }
+
+    std::uint32_t n;
+
+private:
+    [[gnu::always_inline]] static Quad quad(const float* rgb) { return __builtin_convertvector((QuadFloat{rgb[0], rgb[1], rgb[2], 0.0f}), Quad); }
+    [[gnu::always_inline]] static double of_luminance(Quad rgb) {
+        const Quad parts = rgb * Quad{0.2126, 0.7152, 0.0722, 0.0};
+        return parts[0] + parts[1] + parts[2];
+    }
+
+    Quad sum_, m2_, half_;
+};
+
+// Samples with their radiance: a stretch of a batch, pixel by pixel.
+struct Told {
+    const std::uint32_t* slot;
+    const std::uint8_t* tag;
+    const float* radiance;
+    std::size_t stride;  // floats a sample
+    std::size_t size;
+
+    Told from(std::size_t first, std::size_t last) const { return {slot + first, tag + first, radiance + first * stride, stride, last - first}; }
+};
+
+PMC_MULTIVERSION inline void write_luminances(const Told& told, float* luminances) {
+    for (std::size_t i = 0; i < told.size; ++i) {
+        const float* v = told.radiance + i * told.stride;
+        luminances[i] = static_cast<float>(luminance(double(v[0]), double(v[1]), double(v[2])));
+    }
+}
+
+// Moments of luminance of the pixels that were changed.
+struct Moments {
+    static constexpr std::size_t most = 128;
+
+    std::uint32_t slot[most];
+    double variance[most], mean[most];
+    std::size_t size = 0;
+};
+
+// Adds samples until there are no more, or as many pixels as Moments hold have changed; how many were added.
+PMC_MULTIVERSION inline std::size_t add_to_sums(PixelSums* sums, const char* pool_mean, const char* strategy, const Told& told, Moments& moments) {
+    // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
+    constexpr std::size_t ahead = 12;
+    const std::uint32_t* const slot = told.slot;
+    const float* radiance = told.radiance;
+    const std::size_t size = told.size, stride = told.stride;
+    std::size_t i = 0, changed = 0;
+    while (i < size && changed < Moments::most) {
+        const std::uint32_t at = slot[i];
+        PixelSums& p = sums[at];
+        RunningSums running(p);
+        std::uint32_t n_pool = p.n_pool;
+        do {
+            const std::size_t later = i + ahead < size ? i + ahead : size - 1;
+            __builtin_prefetch(&sums[slot[later]], 1);
+            const std::size_t k = slot[later];
+            const char* const a = pool_mean + k * 16, *const b = strategy + k * 6, *const c = reinterpret_cast<const char*>(&sums[k]);
+            const std::uint8_t tag = told.tag[later];
+            __builtin_prefetch(tag & Tag::pool ? a : tag == Tag::no_kernel ? c : b, 1);
+            running.add(radiance);
+            n_pool += (told.tag[i] & Tag::pool) != 0;
+            radiance += stride;
+        } while (++i < size && slot[i] == at);
+        running.store(p);
+        p.n_pool = n_pool;
+        moments.slot[changed] = at;
+        moments.variance[changed] = running.variance();
+        moments.mean[changed++] = running.mean();
+    }
+    moments.size = changed;
+    return i;
+}
+
+}  // namespace pmc
