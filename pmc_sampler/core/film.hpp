@@ -31,6 +31,21 @@ PMC_MULTIVERSION inline bool all_within(const float* values, std::size_t n, floa
     return !outside;
 }
 
+// What beta owes to a pixel's samples other than their number: var / tvi^2, or the paper's var / tvi, of their luminance.
+// Bounded, so that sums and powers of it stay finite.
+template <Beta rule>
+[[gnu::always_inline]] inline float scored(double variance, double mean, const InverseSquareTvi& tvi, double white) {
+    const double inverse_square = tvi(static_cast<float>(mean * white));
+    const double value = rule == Beta::gain ? variance * white * white * inverse_square : variance * white * std::sqrt(inverse_square);
+    return static_cast<float>(std::min(value, 1e18));
+}
+PMC_MULTIVERSION inline void scores_gain(const Moments& m, const InverseSquareTvi& tvi, double white, float* scores) {
+    for (std::size_t i = 0; i < m.size; ++i) scores[i] = scored<Beta::gain>(m.variance[i], m.mean[i], tvi, white);
+}
+PMC_MULTIVERSION inline void scores_variance(const Moments& m, const InverseSquareTvi& tvi, double white, float* scores) {
+    for (std::size_t i = 0; i < m.size; ++i) scores[i] = scored<Beta::variance>(m.variance[i], m.mean[i], tvi, white);
+}
+
 class Film {
 public:
     // is_signed: radiance may be negative, as single samples of a spectral renderer are outside the gamut of RGB.
@@ -296,50 +311,34 @@ private:
         Moments moments;
         for (std::size_t first = 0, last; first < told.size; first = last) {
             last = first + add_to_sums(sums.data(), (const char*)pool_mean.data(), (const char*)strategy.data(), told.from(first, told.size), moments);
-            add_to_pool(told.from(first, last));
-            count_strategies(told.from(first, last));
+            if (!uniform_) {
+                std::uint32_t of_pool[block], of_kernels[block];
+                for (std::size_t begin = first, end; begin < last; begin = end) {
+                    end = std::min(begin + block, last);
+                    std::size_t in_pool = 0, by_kernels = 0;
+                    for (std::size_t i = begin; i < end; ++i) {
+                        of_pool[in_pool] = of_kernels[by_kernels] = static_cast<std::uint32_t>(i);
+                        in_pool += (told.tag[i] & Tag::pool) != 0;
+                        by_kernels += (told.tag[i] & Tag::kernel_mask) != Tag::no_kernel;
+                    }
+                    add_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, told.from(0, last), of_pool, in_pool);
+                    for (std::size_t i = 0; i < by_kernels; ++i) count_strategy(strategy[told.slot[of_kernels[i]]], told.tag[of_kernels[i]]);
+                }
+            }
             for (std::size_t i = first; i < last; ++i)
                 for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[std::size_t(told.slot[i]) * aovs + c] += told.radiance[i * told.stride + 3 + c];
             if (!live_) continue;
+            float scores[Moments::most];
+            if (rule_ == Beta::gain) scores_gain(moments, inverse_square_tvi_, white_, scores);
+            else scores_variance(moments, inverse_square_tvi_, white_, scores);
             for (std::size_t i = 0; i < moments.size; ++i) {
                 const std::size_t slot = moments.slot[i];
-                score_[slot] = score_at(moments.variance[i], moments.mean[i]);
+                score_[slot] = scores[i];
                 tiles_[slot / Tiling::area].stale = true;
             }
         }
     }
-
-    // After their sums.
-    void add_to_pool(const Told& told) {
-        if (uniform_) return;
-        std::uint32_t of_pool[8 * Moments::most];
-        (void)of_pool;
-        for (std::size_t i = 0; i < told.size; ++i) {
-            if (!(told.tag[i] & Tag::pool)) continue;
-            const std::size_t slot = told.slot[i];
-            std::uint32_t later = 0;
-            for (std::size_t j = i + 1; j < told.size && told.slot[j] == slot; ++j) later += (told.tag[j] & Tag::pool) != 0;
-            const std::uint32_t before = sums[slot].n_pool - 1 - later;
-            const float* v = told.radiance + i * told.stride;
-            double pool[3];
-            for (int c = 0; c < 3; ++c) pool[c] = pool_mean[slot].get(c);
-            const double weight = reciprocal(before + 1);
-            if (unbiased_) {
-                const double d = luminance(v[0] - pool[0], v[1] - pool[1], v[2] - pool[2]);
-                // Never infinite: what it is multiplied by may be 0.
-                pool_m2[slot] = std::min(pool_m2[slot] + static_cast<float>(d * d * before * weight), std::numeric_limits<float>::max());
-            }
-            for (int c = 0; c < 3; ++c) pool[c] += (v[c] - pool[c]) * weight;
-            pool_mean[slot].set(pool, dither(before));
-        }
-    }
-
-    void count_strategies(const Told& told) {
-        for (std::size_t i = 0; i < told.size; ++i) {
-            const std::uint32_t kernel = told.tag[i] & Tag::kernel_mask;
-            if (kernel != Tag::no_kernel) count_strategy(strategy[told.slot[i]], kernel);
-        }
-    }
+    static constexpr std::size_t block = 256;
 
     static void count_strategy(std::array<std::uint16_t, 3>& counts, std::uint32_t kernel) {
         if (counts[kernel] == std::numeric_limits<std::uint16_t>::max())
@@ -347,20 +346,12 @@ private:
         ++counts[kernel];
     }
 
-    // What beta owes to a pixel's samples other than their number: var / tvi^2, or the paper's var / tvi, of their luminance.
-    // Bounded, so that sums and powers of it stay finite.
-    template <Beta rule>
-    float score_of(double variance, double mean) const {
-        const double inverse_square = inverse_square_tvi_(static_cast<float>(mean * white_));
-        const double value = rule == Beta::gain ? variance * white_ * white_ * inverse_square : variance * white_ * std::sqrt(inverse_square);
-        return static_cast<float>(std::min(value, 1e18));
-    }
     template <Beta rule>
     float score_of(const PixelSums& p) const {
-        return p.n < 2 ? 0.0f : score_of<rule>(p.m2.get(3) * reciprocal(p.n - 1), luminance(p.sum[0], p.sum[1], p.sum[2]) * reciprocal(p.n));
+        return p.n < 2 ? 0.0f : scored<rule>(p.m2.get(3) * reciprocal(p.n - 1), luminance(p.sum[0], p.sum[1], p.sum[2]) * reciprocal(p.n), inverse_square_tvi_, white_);
     }
     float score_at(double variance, double mean) const {
-        return rule_ == Beta::gain ? score_of<Beta::gain>(variance, mean) : score_of<Beta::variance>(variance, mean);
+        return rule_ == Beta::gain ? scored<Beta::gain>(variance, mean, inverse_square_tvi_, white_) : scored<Beta::variance>(variance, mean, inverse_square_tvi_, white_);
     }
     float score(const PixelSums& p) const { return rule_ == Beta::gain ? score_of<Beta::gain>(p) : score_of<Beta::variance>(p); }
 

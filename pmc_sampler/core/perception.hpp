@@ -1,6 +1,7 @@
 // Luminance and the threshold-versus-intensity function.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <bit>
 #include <cmath>
@@ -37,27 +38,24 @@ inline double tvi(double L) {
 class InverseSquareTvi {
 public:
     InverseSquareTvi() {
-        for (std::uint32_t i = 0; i < entries; ++i) {
+        for (std::int32_t i = 0; i < entries; ++i) {
             const double t = tvi(std::bit_cast<float>(low + (i << shift)));
             values_[i] = static_cast<float>(1.0 / (t * t));
         }
     }
-    float operator()(float L) const {
-        const float lowest = std::bit_cast<float>(low);
-        if (!(L > lowest)) return values_[0];
-        const std::uint32_t offset = std::bit_cast<std::uint32_t>(L) - low;
-        const std::uint32_t i = offset >> shift;
-        if (i + 1 >= entries) {  // the curve is a straight line from 79 cd/m2 on, at 10^-1.255 of the luminance
-            const float inverse = 17.988709f / L;
-            return inverse * inverse;
-        }
-        const float t = static_cast<float>(static_cast<std::int32_t>(offset & ((1u << shift) - 1))) * (1.0f / (1u << shift));
-        return values_[i] + t * (values_[i + 1] - values_[i]);
+    // Without branches: many are computed side by side.
+    [[gnu::always_inline]] float operator()(float L) const {
+        const std::int32_t offset = std::max(std::bit_cast<std::int32_t>(L), low) - low, i = std::min(offset >> shift, entries - 2);
+        const float t = static_cast<float>(offset & ((1 << shift) - 1)) * (1.0f / (1 << shift));
+        const float between = values_[i] + t * (values_[i + 1] - values_[i]);
+        // The curve is a straight line from 79 cd/m2 on, at 10^-1.255 of the luminance.
+        const float inverse = 17.988709f / L;
+        return offset >> shift > entries - 2 ? inverse * inverse : between;
     }
 
 private:
-    static constexpr std::uint32_t shift = 18, low = (127u - 14u) << 23;  // from 2^-14 cd/m2, below the rods' threshold knee
-    static constexpr std::uint32_t entries = (21u << 5) + 1;              // to 2^7 = 128 cd/m2
+    static constexpr std::int32_t shift = 18, low = (127 - 14) << 23;  // from 2^-14 cd/m2, below the rods' threshold knee
+    static constexpr std::int32_t entries = (21 << 5) + 1;             // to 2^7 = 128 cd/m2
     std::array<float, entries> values_{};
 };
 

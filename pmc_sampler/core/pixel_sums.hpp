@@ -1,10 +1,11 @@
 // What every sample changes in its pixel, and how.
 #pragma once
 
+#include <algorithm>
 #include <array>
 #include <cstddef>
 #include <cstdint>
-#include <cstring>
+#include <limits>
 
 #include "batch.hpp"
 #include "multiversion.hpp"
@@ -33,6 +34,12 @@ inline constexpr std::array<double, 1024> reciprocals = [] {
 // Divisions by small counts are the dearest part of a sample; these are looked up. 0 for 0.
 [[gnu::always_inline]] inline double reciprocal(std::uint32_t n) { return n < reciprocals.size() ? reciprocals[n] : 1.0 / n; }
 
+[[gnu::always_inline]] inline Quad quad(const float* rgb) { return Quad{rgb[0], rgb[1], rgb[2], 0.0}; }
+[[gnu::always_inline]] inline double of_luminance(Quad rgb) {
+    const Quad parts = rgb * Quad{0.2126, 0.7152, 0.0722, 0.0};
+    return parts[0] + parts[1] + parts[2];
+}
+
 // The sums while samples are added. Deviations are taken from the mean before each sample (Welford 1962,
 // doi:10.1080/00401706.1962.10490022), as n x - sum, which is exactly 0 where all are equal: a large mean with a tiny spread loses
 // nothing. What is kept in fewer bits is rounded once, at the end. Red, green, blue and luminance lie side by side: all is done to
@@ -40,14 +47,16 @@ inline constexpr std::array<double, 1024> reciprocals = [] {
 class RunningSums {
 public:
     [[gnu::always_inline]] explicit RunningSums(const PixelSums& p)
-        : n(p.n), sum_{p.sum[0], p.sum[1], p.sum[2], 0.0}, m2_(p.m2.get()), half_(quad(p.half_mean)) {}
+        : n(p.n), sum_{p.sum[0], p.sum[1], p.sum[2], 0.0}, m2_(p.m2.get()), half_(quad(p.half_mean)), next_(reciprocal(n)) {}
 
     [[gnu::always_inline]] void add(const float* rgb) {
         const Quad x = quad(rgb);
-        const double count = n, inverse = reciprocal(n), share = count * reciprocal(n + 1);
-        Quad deviation = (x * count - sum_) * inverse;
+        const double count = n;
+        inverse_ = next_;
+        next_ = reciprocal(n + 1);
+        Quad deviation = (x * count - sum_) * inverse_;
         deviation[3] = of_luminance(deviation);
-        m2_ += deviation * deviation * share;
+        m2_ += deviation * deviation * (count * next_);
         sum_ += x;
         // A weight of 0 costs less than a branch that nobody can predict.
         half_ += (x - half_) * (reciprocal(n / 2 + 1) * double(1 - n % 2));
@@ -57,28 +66,19 @@ public:
         const std::uint32_t rounding = dither(n);
         for (int c = 0; c < 3; ++c) p.sum[c] = sum_[c];
         p.m2.set(m2_, rounding);
-        if (n < 4096) {  // rounding to the nearest float does for as many samples as most pixels have
-            const auto nearest = __builtin_convertvector(half_, QuadFloat);
-            for (int c = 0; c < 3; ++c) p.half_mean[c] = nearest[c];
-        } else {
-            for (int c = 0; c < 3; ++c) p.half_mean[c] = rounded(half_[c], rounding);
-        }
+        // Rounding to the nearest float does for as many samples as most pixels have.
+        for (int c = 0; c < 3; ++c) p.half_mean[c] = n < 4096 ? static_cast<float>(half_[c]) : rounded(half_[c], rounding);
         p.n = n;
     }
-    // Of luminance; the variance is 0 for a single sample.
-    [[gnu::always_inline]] double variance() const { return m2_[3] * reciprocal(n - 1); }
-    [[gnu::always_inline]] double mean() const { return of_luminance(sum_) * reciprocal(n); }
+    // Of luminance, once a sample was added; the variance of a single one is 0.
+    [[gnu::always_inline]] double variance() const { return m2_[3] * inverse_; }
+    [[gnu::always_inline]] double mean() const { return of_luminance(sum_) * next_; }
 
     std::uint32_t n;
 
 private:
-    [[gnu::always_inline]] static Quad quad(const float* rgb) { return __builtin_convertvector((QuadFloat{rgb[0], rgb[1], rgb[2], 0.0f}), Quad); }
-    [[gnu::always_inline]] static double of_luminance(Quad rgb) {
-        const Quad parts = rgb * Quad{0.2126, 0.7152, 0.0722, 0.0};
-        return parts[0] + parts[1] + parts[2];
-    }
-
     Quad sum_, m2_, half_;
+    double inverse_ = 0.0, next_;  // of the number of samples but one, and of the number of samples
 };
 
 // Samples with their radiance: a stretch of a batch, pixel by pixel.
@@ -111,7 +111,7 @@ struct Moments {
 // Adds samples until there are no more, or as many pixels as Moments hold have changed; how many were added.
 PMC_MULTIVERSION inline std::size_t add_to_sums(PixelSums* sums, const char* pool_mean, const char* strategy, const Told& told, Moments& moments) {
     // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
-    constexpr std::size_t ahead = 12;
+    constexpr std::size_t ahead = 32;
     const std::uint32_t* const slot = told.slot;
     const float* radiance = told.radiance;
     const std::size_t size = told.size, stride = told.stride;
@@ -140,6 +140,27 @@ PMC_MULTIVERSION inline std::size_t add_to_sums(PixelSums* sums, const char* poo
     }
     moments.size = changed;
     return i;
+}
+
+// Adds those of the samples that are the pool's to the means of the pool's own, once all of them are in the sums; and their squared
+// deviations of luminance to `m2`, if any.
+PMC_MULTIVERSION inline void add_to_pool(const PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, const std::uint32_t* which, std::size_t count) {
+    for (std::size_t k = 0; k < count; ++k) {
+        const std::size_t i = which[k];
+        const std::uint32_t slot = told.slot[i];
+        std::uint32_t n = sums[slot].n_pool;  // with this sample, but without those that follow
+        for (std::size_t later = i + 1; later < told.size && told.slot[later] == slot; ++later) n -= (told.tag[later] & Tag::pool) != 0;
+        const double weight = reciprocal(n);
+        Quad mean = means[slot].get();
+        const Quad deviation = quad(told.radiance + i * told.stride) - mean;
+        if (m2) {
+            const double d = of_luminance(deviation);
+            // Never infinite: what it is multiplied by may be 0.
+            m2[slot] = std::min(m2[slot] + static_cast<float>(d * d * (n - 1) * weight), std::numeric_limits<float>::max());
+        }
+        mean += deviation * weight;
+        means[slot].set(mean, dither(n));
+    }
 }
 
 }  // namespace pmc

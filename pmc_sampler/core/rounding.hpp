@@ -9,7 +9,6 @@
 #include <algorithm>
 #include <bit>
 #include <cstdint>
-#include <cstring>
 #include <limits>
 
 namespace pmc {
@@ -26,37 +25,33 @@ inline float rounded(double value, std::uint32_t dither) {
 }
 
 using Quad = double __attribute__((vector_size(4 * sizeof(double))));
-using QuadFloat = float __attribute__((vector_size(4 * sizeof(float))));
 
-// N <= 4 numbers of 40 bits each: doubles with a mantissa of 28 bits. Those that a float can hold are held exactly.
+// N <= 4 numbers of 40 bits each: doubles with a mantissa of 28 bits. Those that a float can hold are held exactly. All at once:
+// what a processor has vectors for. Inlined by force, to be compiled for the instruction set of whoever calls it.
 template <int N>
 class Reals40 {
 public:
     double get(int i) const { return std::bit_cast<double>(std::uint64_t(high_[i]) << 32 | ((low_ << 8 * i) & 0xff000000u)); }
-    // All four, and likewise below.
-    [[gnu::always_inline]] Quad get() const requires(N == 4) {
-        const std::uint64_t low = low_;
-        const Words high = {high_[0], high_[1], high_[2], high_[3]};
-        return std::bit_cast<Quad>(high << 32 | ((Words{low, low, low, low} << places) & 0xff000000u));
-    }
-    [[gnu::always_inline]] void set(Quad values, std::uint32_t dither) requires(N == 4) {
-        const Words bits = std::bit_cast<Words>(values) + (dither >> 8), low = (bits & 0xff000000u) >> places;
-        const auto high = __builtin_convertvector(bits >> 32, QuadWord);
-        std::memcpy(high_, &high, sizeof(high_));
-        low_ = static_cast<std::uint32_t>(low[0] | low[1] | low[2] | low[3]);
-    }
-    void set(const double (&values)[N], std::uint32_t dither) {
-        low_ = 0;
+
+    // Beyond the N-th there is 0, and nothing is taken.
+    [[gnu::always_inline]] Quad get() const {
+        Words high = {}, low = {};
         for (int i = 0; i < N; ++i) {
-            const std::uint64_t bits = std::bit_cast<std::uint64_t>(values[i]) + (dither >> 8);
-            high_[i] = static_cast<std::uint32_t>(bits >> 32);
-            low_ |= (static_cast<std::uint32_t>(bits) & 0xff000000u) >> 8 * i;
+            high[i] = high_[i];
+            low[i] = low_;
         }
+        return std::bit_cast<Quad>(high << 32 | ((low << places) & 0xff000000u));
+    }
+    [[gnu::always_inline]] void set(Quad values, std::uint32_t dither) {
+        const Words bits = std::bit_cast<Words>(values) + (dither >> 8), low = (bits & 0xff000000u) >> places;
+        for (int i = 0; i < N; ++i) high_[i] = static_cast<std::uint32_t>(bits[i] >> 32);
+        const Pair even = {low[0], low[1]}, odd = {low[2], N > 3 ? low[3] : 0}, both = even | odd;
+        low_ = static_cast<std::uint32_t>(both[0] | both[1]);
     }
 
 private:
     using Words = std::uint64_t __attribute__((vector_size(4 * sizeof(std::uint64_t))));
-    using QuadWord = std::uint32_t __attribute__((vector_size(4 * sizeof(std::uint32_t))));
+    using Pair = std::uint64_t __attribute__((vector_size(2 * sizeof(std::uint64_t))));
     static constexpr Words places = {0, 8, 16, 24};
 
     std::uint32_t high_[N], low_;  // the low bytes, the first number's on top
