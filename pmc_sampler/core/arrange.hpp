@@ -39,13 +39,31 @@ struct Sequences {
     explicit Sequences(std::uint32_t seed) : shared(mix(seed, 2)), beyond(mix(seed, 1)), reserved(~0u) {}
 };
 
-// Scrambles from keys, in place, and places in the pixel's square in [0, 1)^2, for samples [0, n).
-PMC_MULTIVERSION inline void draw_places(const std::uint32_t* pixel, const std::uint32_t* index, std::size_t n, std::uint32_t* scramble, Point2* places) {
+// Where samples of one row of tiles lie.
+struct TileRow {
+    std::uint32_t first_tile, y0, width;
+
+    TileRow(const Tiling& tiling, std::uint32_t tile) : first_tile(tile / tiling.columns * tiling.columns), y0(tile / tiling.columns * Tiling::side), width(tiling.width) {}
+    [[gnu::always_inline]] std::uint32_t x(std::uint32_t slot) const { return (slot / Tiling::area - first_tile) * Tiling::side + slot % Tiling::side; }
+    [[gnu::always_inline]] std::uint32_t y(std::uint32_t slot) const { return y0 + slot % Tiling::area / Tiling::side; }
+};
+
+// Pixels, scrambles from keys, in place, and places in the pixel's square in [0, 1)^2.
+PMC_MULTIVERSION inline void draw_places(const TileRow row, const std::uint32_t* slot, const std::uint32_t* index, std::size_t n, std::uint32_t* pixel, std::uint32_t* scramble,
+                                         Point2* places) {
     for (std::size_t i = 0; i < n; ++i) {
+        pixel[i] = row.y(slot[i]) * row.width + row.x(slot[i]);
         const std::uint32_t s = mix(scramble[i], pixel[i]);
         scramble[i] = s;
         places[i] = sobol_pair(s, index[i], 0);
     }
+}
+
+// From places in the pixels' squares to positions.
+PMC_MULTIVERSION inline void put_in_pixels(const TileRow row, const std::uint32_t* slot, const Point2* places, std::size_t n, Point2* positions) {
+    for (std::size_t i = 0; i < n; ++i)
+        positions[i] = {in_pixel(static_cast<float>(static_cast<std::int32_t>(row.x(slot[i]))), places[i].x),
+                        in_pixel(static_cast<float>(static_cast<std::int32_t>(row.y(slot[i]))), places[i].y)};
 }
 
 class Arranger {
@@ -59,36 +77,7 @@ public:
     // Advances film.drawn.
     void operator()(const Proposals& proposals, Film& film, Batch& batch, ThreadPool& threads) {
         const std::size_t n = proposals.slot.size(), tiles = tiling_.tiles(), direct = proposals.direct.size();
-        const std::size_t first_pass = n - proposals.pass.size();
-        // A stable counting sort by tile: one histogram for each chunk of proposals, so that the order is that of the proposals
-        // whatever the number of chunks.
-        const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 16384));
-        counts_.resize(chunks * tiles);
-        const std::uint32_t* slot = proposals.slot.data();
-        threads.run(chunks, [&](std::size_t c) {
-            std::uint32_t* count = counts_.data() + c * tiles;
-            std::fill_n(count, tiles, 0u);
-            for (std::size_t i = n * c / chunks; i < n * (c + 1) / chunks; ++i) ++count[slot[i] / Tiling::area];
-        });
-        starts_.resize(tiles + 1);
-        std::uint32_t total = 0;
-        for (std::size_t t = 0; t < tiles; ++t) {
-            starts_[t] = total;
-            for (std::size_t c = 0; c < chunks; ++c) {
-                const std::uint32_t count = counts_[c * tiles + t];
-                counts_[c * tiles + t] = total;
-                total += count;
-            }
-        }
-        starts_[tiles] = total;
-        entries_.resize(n);
-        threads.run(chunks, [&](std::size_t c) {
-            std::uint32_t* next = counts_.data() + c * tiles;
-            for (std::size_t i = n * c / chunks; i < n * (c + 1) / chunks; ++i) {
-                const std::uint32_t pass = i >= first_pass ? proposals.pass[i - first_pass] : 0;
-                entries_[next[slot[i] / Tiling::area]++] = {static_cast<std::uint32_t>(i), pass, static_cast<std::uint8_t>(slot[i] % Tiling::area), proposals.tag[i]};
-            }
-        });
+        const std::size_t chunks = sort(proposals, threads);
         batch.positions.renew(n + direct);
         batch.pixel.renew(n + direct);
         batch.index.renew(n + direct);
@@ -97,14 +86,15 @@ public:
         batch.tag.renew(n + direct);
         batch.place.renew(batch.iteration_samples);
         threads.ranges(tiles, 4, [&](std::size_t first, std::size_t last) {
-            const auto start = [&](std::size_t t) { return starts_[t] + (direct ? proposals.direct_starts[t] : 0); };
+            const auto start = [&](std::size_t t) {
+                std::size_t before = direct ? proposals.direct_starts[t] : 0;
+                for (std::size_t c = 0; c < chunks; ++c) before += starts_[c * (tiles + 1) + t];
+                return before;
+            };
             for (std::size_t t = first, group = first; t < last; ++t) {
-                const auto of_beta = direct ? proposals.direct.span().subspan(proposals.direct_starts[t], proposals.direct_starts[t + 1] - proposals.direct_starts[t])
-                                            : std::span<const std::uint32_t>();
-                const std::span<const Entry> others = entries_.span().subspan(starts_[t], starts_[t + 1] - starts_[t]);
-                if (!of_beta.empty() || !others.empty()) arrange_tile(static_cast<std::uint32_t>(t), start(t), of_beta, others, film, batch);
-                if (t + 1 - group == together || t + 1 == last) {
-                    place(batch, start(group), start(t + 1));
+                arrange_tile(t, start(t), chunks, proposals, film, batch);
+                if (t + 1 - group == together || t + 1 == last || (t + 1) % tiling_.columns == 0) {
+                    place(TileRow(tiling_, static_cast<std::uint32_t>(t)), batch, start(group), start(t + 1));
                     group = t + 1;
                 }
             }
@@ -113,15 +103,50 @@ public:
 
 private:
     struct Entry {
-        std::uint32_t proposal, pass;
+        std::uint32_t proposal;
         std::uint8_t local, tag;
     };
     static constexpr std::size_t together = 8;  // tiles whose samples are placed at once: many, but still in the nearest caches
 
+    // A stable counting sort of the proposals by tile, in several chunks: each for itself, so that no two threads write side by side.
+    // Their number.
+    std::size_t sort(const Proposals& proposals, ThreadPool& threads) {
+        const std::size_t n = proposals.slot.size(), tiles = tiling_.tiles();
+        const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 4096));
+        starts_.resize(chunks * (tiles + 1));
+        entries_.resize(n);
+        threads.run(chunks, [&](std::size_t c) {
+            const std::size_t first = n * c / chunks, last = n * (c + 1) / chunks;
+            const std::uint32_t* const slot = proposals.slot.data();
+            const std::uint8_t* const tag = proposals.tag.data();
+            // How many there are in each tile, where its first goes, and in the end where the next tile's does: one place on each time.
+            std::uint32_t* const next = starts_.data() + c * (tiles + 1);
+            std::fill_n(next, tiles + 1, 0u);
+            for (std::size_t i = first; i < last; ++i) ++next[slot[i] / Tiling::area + 1];
+            std::uint32_t total = 0;
+            for (std::size_t t = 1; t <= tiles; ++t) total += std::exchange(next[t], total);
+            Entry* const entries = entries_.data() + first;
+            for (std::size_t i = first; i < last; ++i)
+                entries[next[slot[i] / Tiling::area + 1]++] = {static_cast<std::uint32_t>(i), static_cast<std::uint8_t>(slot[i] % Tiling::area), tag[i]};
+        });
+        return chunks;
+    }
+    // Those of a tile in one of the chunks.
+    std::span<const Entry> sorted(std::size_t chunk, std::size_t chunks, std::size_t tile) const {
+        const std::uint32_t* const start = starts_.data() + chunk * (tiling_.tiles() + std::size_t(1)) + tile;
+        return entries_.span().subspan(entries_.size() * chunk / chunks + start[0], start[1] - start[0]);
+    }
+
     // The samples of a tile, `begin` the first of them in the batch: sorted by pixel, and in each those of beta first.
-    void arrange_tile(std::uint32_t tile, std::size_t begin, std::span<const std::uint32_t> of_beta, std::span<const Entry> others, Film& film, Batch& batch) {
+    void arrange_tile(std::size_t tile, std::size_t begin, std::size_t chunks, const Proposals& proposals, Film& film, Batch& batch) {
+        const auto of_beta = proposals.direct.size()
+                                 ? proposals.direct.span().subspan(proposals.direct_starts[tile], proposals.direct_starts[tile + 1] - proposals.direct_starts[tile])
+                                 : std::span<const std::uint32_t>();
+        bool any = !of_beta.empty();
+        for (std::size_t c = 0; c < chunks; ++c) any |= !sorted(c, chunks, tile).empty();
+        if (!any) return;
         film.touch(tile);
-        const std::uint32_t base = tile * Tiling::area, x0 = tiling_.x(base), y0 = tiling_.y(base);
+        const std::uint32_t base = static_cast<std::uint32_t>(tile * Tiling::area);
         std::uint32_t next[Tiling::area] = {};
         std::uint64_t seen[Tiling::area / 64] = {};  // a bit for each pixel that has samples: often few of the tile's have
         const auto count = [&](std::uint32_t local) {
@@ -129,50 +154,65 @@ private:
             seen[local / 64] |= std::uint64_t(1) << local % 64;
         };
         for (const std::uint32_t slot : of_beta) count(slot % Tiling::area);
-        for (const Entry& e : others) count(e.local);
+        for (std::size_t c = 0; c < chunks; ++c)
+            for (const Entry& e : sorted(c, chunks, tile)) count(e.local);
         auto place = static_cast<std::uint32_t>(begin);
         for (std::uint32_t word = 0; word < Tiling::area / 64; ++word)
             for (std::uint64_t bits = seen[word]; bits; bits &= bits - 1) place += std::exchange(next[64 * word + static_cast<std::uint32_t>(std::countr_zero(bits))], place);
-        const auto put = [&](std::uint32_t local, std::uint8_t tag, std::uint32_t pass) {
+        std::uint32_t* const slots = batch.slot.data(), *const index = batch.index.data(), *const scramble = batch.scramble.data(), *const drawn = &film.drawn[base];
+        std::uint8_t* const tags = batch.tag.data();
+        const Sequences sequences = sequences_;
+        const auto put = [&](std::uint32_t local, std::uint8_t tag) {
             const std::uint32_t p = next[local]++;
-            batch.slot[p] = base + local;
-            batch.tag[p] = tag;
-            const std::uint32_t x = x0 + local % Tiling::side, y = y0 + local / Tiling::side;
-            batch.pixel[p] = y * tiling_.width + x;
-            batch.positions[p] = {static_cast<float>(x), static_cast<float>(y)};
-            // The pool visits a pixel once in a pass.
-            const bool adaptive = !(tag & Tag::pool), beyond = !adaptive && pass >= sequences_.reserved;
-            const std::uint32_t drawn = film.drawn[base + local];
-            batch.index[p] = adaptive ? sequences_.reserved + drawn : beyond ? pass - sequences_.reserved : pass;
-            batch.scramble[p] = beyond ? sequences_.beyond : sequences_.shared;
-            film.drawn[base + local] = drawn + adaptive;
+            slots[p] = base + local;
+            tags[p] = tag;
+            scramble[p] = sequences.shared;
             return p;
         };
-        for (const std::uint32_t slot : of_beta) put(slot % Tiling::area, Tag::no_kernel, 0);
-        for (const Entry& e : others) {
-            const std::uint32_t p = put(e.local, e.tag, e.pass);
-            if (e.proposal < batch.iteration_samples) batch.place[e.proposal] = p;
+        const auto put_adaptive = [&](std::uint32_t local, std::uint8_t tag) {
+            const std::uint32_t p = put(local, tag);
+            index[p] = sequences.reserved + drawn[local]++;
+            return p;
+        };
+        for (const std::uint32_t slot : of_beta) put_adaptive(slot % Tiling::area, Tag::no_kernel);
+        const std::size_t first_pass = proposals.slot.size() - proposals.pass.size();
+        for (std::size_t c = 0; c < chunks; ++c) {
+            for (const Entry& e : sorted(c, chunks, tile)) {
+                std::uint32_t p;
+                if (e.tag & Tag::pool) {  // it visits a pixel once in a pass
+                    p = put(e.local, e.tag);
+                    const std::uint32_t pass = proposals.pass[e.proposal - first_pass];
+                    const bool beyond = pass >= sequences.reserved;
+                    index[p] = beyond ? pass - sequences.reserved : pass;
+                    if (beyond) scramble[p] = sequences.beyond;
+                } else {
+                    p = put_adaptive(e.local, e.tag);
+                }
+                if (e.proposal < batch.iteration_samples) batch.place[e.proposal] = p;
+            }
         }
     }
 
-    // From pixels' corners to places in them or, by the filter, around them.
-    void place(Batch& batch, std::size_t begin, std::size_t end) const {
+    // From pixels to places in them or, by the filter, around them.
+    void place(const TileRow row, Batch& batch, std::size_t begin, std::size_t end) const {
         Point2 u[256];
         for (std::size_t first = begin, n; first < end; first += n) {
             n = std::min(end - first, std::size(u));
-            draw_places(&batch.pixel[first], &batch.index[first], n, &batch.scramble[first], u);
+            const std::uint32_t* slot = &batch.slot[first];
+            draw_places(row, slot, &batch.index[first], n, &batch.pixel[first], &batch.scramble[first], u);
             Point2* at = &batch.positions[first];
             if (filter_.trivial())
-                for (std::size_t i = 0; i < n; ++i) at[i] = {in_pixel(at[i].x, u[i].x), in_pixel(at[i].y, u[i].y)};
+                put_in_pixels(row, slot, u, n, at);
             else
-                for (std::size_t i = 0; i < n; ++i) at[i] = {at[i].x + 0.5f + filter_(u[i].x), at[i].y + 0.5f + filter_(u[i].y)};
+                for (std::size_t i = 0; i < n; ++i)
+                    at[i] = {static_cast<float>(row.x(slot[i])) + 0.5f + filter_(u[i].x), static_cast<float>(row.y(slot[i])) + 0.5f + filter_(u[i].y)};
         }
     }
 
     Tiling tiling_;
     Sequences sequences_;
     FilterSampler filter_;
-    Buffer<std::uint32_t> counts_, starts_;
+    Buffer<std::uint32_t> starts_;  // chunk by chunk, of each tile among the chunk's entries
     Buffer<Entry> entries_;
 };
 

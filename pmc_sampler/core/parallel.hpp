@@ -4,9 +4,11 @@
 
 #include <algorithm>
 #include <atomic>
+#include <chrono>
 #include <cstdint>
 #include <exception>
 #include <functional>
+#include <limits>
 #include <mutex>
 #include <thread>
 #include <vector>
@@ -27,15 +29,16 @@ public:
 
     unsigned size() const { return size_; }
 
-    // As long as one lives the threads wait on their feet: many a task takes less time than waking up does. Nobody is to wait
-    // for others meanwhile, such as the renderer, which needs the processors itself.
+    // As long as one lives, and shortly after, the threads wait on their feet: many a task takes less time than waking up does, and
+    // one that is called while it goes to sleep may end up on the processor of its caller. Nobody is to wait for others meanwhile,
+    // such as the renderer, which needs the processors itself.
     class Awake {
     public:
         explicit Awake(ThreadPool& threads) : threads_(threads) {
-            threads_.awake_ = true;
+            threads_.awake_until_ = std::numeric_limits<Clock::rep>::max();
             threads_.wake();
         }
-        ~Awake() { threads_.awake_ = false; }
+        ~Awake() { threads_.awake_until_ = (Clock::now() + std::chrono::microseconds(50)).time_since_epoch().count(); }
         Awake(const Awake&) = delete;
         Awake& operator=(const Awake&) = delete;
 
@@ -59,7 +62,7 @@ public:
         }
         ++runs_;
         task_ = &function;
-        if (!awake_) wake();
+        if (awake_until_ != std::numeric_limits<Clock::rep>::max()) wake();
         drain(function, 0);
         task_ = nullptr;  // whoever comes only now is not waited for
         for (unsigned busy; (busy = busy_) != 0;)
@@ -75,6 +78,8 @@ public:
     }
 
 private:
+    using Clock = std::chrono::steady_clock;
+
     // Begins with what is the thread's own.
     void drain(const std::function<void(std::size_t)>& task, unsigned thread) {
         for (unsigned k = 0; k < size_; ++k) {
@@ -106,7 +111,7 @@ private:
         while (!stop_) {
             const std::uint32_t before = calls_;
             if (help(thread, helped)) continue;
-            if (awake_)
+            if (Clock::now().time_since_epoch().count() < awake_until_)
                 std::this_thread::yield();
             else
                 calls_.wait(before);
@@ -140,7 +145,8 @@ private:
     std::atomic<std::uint64_t> runs_{0};
     std::atomic<unsigned> busy_{0};  // threads at the task, the caller's not among them
     std::atomic<std::uint32_t> calls_{0};  // how often sleeping threads were called
-    std::atomic<bool> awake_{false}, stop_{false};
+    std::atomic<Clock::rep> awake_until_{0};
+    std::atomic<bool> stop_{false};
     std::mutex mutex_;
     std::exception_ptr error_;
 };
