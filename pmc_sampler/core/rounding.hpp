@@ -11,6 +11,11 @@
 #include <cstdint>
 #include <limits>
 
+// Vectors are handed from function to function here, but never past one that is inlined: how that would be done does not matter.
+#if defined(__GNUC__) && !defined(__clang__)
+#pragma GCC diagnostic ignored "-Wpsabi"
+#endif
+
 namespace pmc {
 
 // 32 bits that decide how values are rounded after n samples.
