@@ -14,17 +14,19 @@
 #include "memory.hpp"
 #include "multiversion.hpp"
 #include "parallel.hpp"
+#include "pool.hpp"
 #include "random.hpp"
 #include "tiling.hpp"
 
 namespace pmc {
 
-// Proposals in the order of their making; those of the pool come last, with the pass they belong to. Samples that were drawn from
-// beta lie apart, tile by tile already.
+// Proposals in the order of their making; members that the pool placed come last, with the pass they belong to. Samples that were
+// drawn from beta lie apart, tile by tile already, and the pool's are read tile by tile.
 struct Proposals {
     Buffer<std::uint32_t> slot;
     Buffer<std::uint8_t> tag;
     Buffer<std::uint32_t> pass;  // of the last pass.size() proposals
+    const Pool::Stretch* pool = nullptr;
     Buffer<std::uint32_t> direct, direct_starts;  // slots, and how many come before each tile (Shares)
 };
 
@@ -76,25 +78,21 @@ public:
 
     // Advances film.drawn.
     void operator()(const Proposals& proposals, Film& film, Batch& batch, ThreadPool& threads) {
-        const std::size_t n = proposals.slot.size(), tiles = tiling_.tiles(), direct = proposals.direct.size();
+        const std::size_t tiles = tiling_.tiles(), direct = proposals.direct.size(), n = proposals.slot.size() + direct + proposals.pool->size();
         const std::size_t chunks = sort(proposals, threads);
-        batch.positions.renew(n + direct);
-        batch.pixel.renew(n + direct);
-        batch.index.renew(n + direct);
-        batch.scramble.renew(n + direct);
-        batch.slot.renew(n + direct);
-        batch.tag.renew(n + direct);
+        find_starts(proposals, chunks, threads);
+        batch.positions.renew(n);
+        batch.pixel.renew(n);
+        batch.index.renew(n);
+        batch.scramble.renew(n);
+        batch.slot.renew(n);
+        batch.tag.renew(n);
         batch.place.renew(batch.iteration_samples);
         threads.ranges(tiles, 4, [&](std::size_t first, std::size_t last) {
-            const auto start = [&](std::size_t t) {
-                std::size_t before = direct ? proposals.direct_starts[t] : 0;
-                for (std::size_t c = 0; c < chunks; ++c) before += starts_[c * (tiles + 1) + t];
-                return before;
-            };
             for (std::size_t t = first, group = first; t < last; ++t) {
-                arrange_tile(t, start(t), chunks, proposals, film, batch);
+                arrange_tile(static_cast<std::uint32_t>(t), chunks, proposals, film, batch);
                 if (t + 1 - group == together || t + 1 == last || (t + 1) % tiling_.columns == 0) {
-                    place(TileRow(tiling_, static_cast<std::uint32_t>(t)), batch, start(group), start(t + 1));
+                    place(TileRow(tiling_, static_cast<std::uint32_t>(t)), batch, starts_[group], starts_[t + 1]);
                     group = t + 1;
                 }
             }
@@ -113,14 +111,14 @@ private:
     std::size_t sort(const Proposals& proposals, ThreadPool& threads) {
         const std::size_t n = proposals.slot.size(), tiles = tiling_.tiles();
         const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 4096));
-        starts_.resize(chunks * (tiles + 1));
+        chunk_starts_.resize(chunks * (tiles + 1));
         entries_.resize(n);
         threads.run(chunks, [&](std::size_t c) {
             const std::size_t first = n * c / chunks, last = n * (c + 1) / chunks;
             const std::uint32_t* const slot = proposals.slot.data();
             const std::uint8_t* const tag = proposals.tag.data();
             // How many there are in each tile, where its first goes, and in the end where the next tile's does: one place on each time.
-            std::uint32_t* const next = starts_.data() + c * (tiles + 1);
+            std::uint32_t* const next = chunk_starts_.data() + c * (tiles + 1);
             std::fill_n(next, tiles + 1, 0u);
             for (std::size_t i = first; i < last; ++i) ++next[slot[i] / Tiling::area + 1];
             std::uint32_t total = 0;
@@ -133,20 +131,34 @@ private:
     }
     // Those of a tile in one of the chunks.
     std::span<const Entry> sorted(std::size_t chunk, std::size_t chunks, std::size_t tile) const {
-        const std::uint32_t* const start = starts_.data() + chunk * (tiling_.tiles() + std::size_t(1)) + tile;
+        const std::uint32_t* const start = chunk_starts_.data() + chunk * (tiling_.tiles() + std::size_t(1)) + tile;
         return entries_.span().subspan(entries_.size() * chunk / chunks + start[0], start[1] - start[0]);
     }
 
-    // The samples of a tile, `begin` the first of them in the batch: sorted by pixel, and in each those of beta first.
-    void arrange_tile(std::size_t tile, std::size_t begin, std::size_t chunks, const Proposals& proposals, Film& film, Batch& batch) {
+    // Where the samples of each tile begin.
+    void find_starts(const Proposals& proposals, std::size_t chunks, ThreadPool& threads) {
+        const std::size_t tiles = tiling_.tiles();
+        starts_.resize(tiles + 1);
+        starts_[0] = 0;
+        threads.ranges(tiles, 256, [&](std::size_t first, std::size_t last) {
+            for (std::size_t t = first; t < last; ++t) {
+                std::uint32_t count = proposals.direct.size() ? proposals.direct_starts[t + 1] - proposals.direct_starts[t] : 0;
+                for (std::size_t c = 0; c < chunks; ++c) count += static_cast<std::uint32_t>(sorted(c, chunks, t).size());
+                proposals.pool->in_tile(static_cast<std::uint32_t>(t), [&](std::uint32_t, std::uint32_t) { ++count; });
+                starts_[t + 1] = count;
+            }
+        });
+        for (std::size_t t = 1; t <= tiles; ++t) starts_[t] += starts_[t - 1];
+    }
+
+    // The samples of a tile: sorted by pixel, and in each those of beta first, the pool's last.
+    void arrange_tile(std::uint32_t tile, std::size_t chunks, const Proposals& proposals, Film& film, Batch& batch) {
+        if (starts_[tile] == starts_[tile + 1]) return;
         const auto of_beta = proposals.direct.size()
                                  ? proposals.direct.span().subspan(proposals.direct_starts[tile], proposals.direct_starts[tile + 1] - proposals.direct_starts[tile])
                                  : std::span<const std::uint32_t>();
-        bool any = !of_beta.empty();
-        for (std::size_t c = 0; c < chunks; ++c) any |= !sorted(c, chunks, tile).empty();
-        if (!any) return;
         film.touch(tile);
-        const std::uint32_t base = static_cast<std::uint32_t>(tile * Tiling::area);
+        const std::uint32_t base = tile * Tiling::area;
         std::uint32_t next[Tiling::area] = {};
         std::uint64_t seen[Tiling::area / 64] = {};  // a bit for each pixel that has samples: often few of the tile's have
         const auto count = [&](std::uint32_t local) {
@@ -156,7 +168,8 @@ private:
         for (const std::uint32_t slot : of_beta) count(slot % Tiling::area);
         for (std::size_t c = 0; c < chunks; ++c)
             for (const Entry& e : sorted(c, chunks, tile)) count(e.local);
-        auto place = static_cast<std::uint32_t>(begin);
+        proposals.pool->in_tile(tile, [&](std::uint32_t local, std::uint32_t) { count(local); });
+        std::uint32_t place = starts_[tile];
         for (std::uint32_t word = 0; word < Tiling::area / 64; ++word)
             for (std::uint64_t bits = seen[word]; bits; bits &= bits - 1) place += std::exchange(next[64 * word + static_cast<std::uint32_t>(std::countr_zero(bits))], place);
         std::uint32_t* const slots = batch.slot.data(), *const index = batch.index.data(), *const scramble = batch.scramble.data(), *const drawn = &film.drawn[base];
@@ -174,23 +187,22 @@ private:
             index[p] = sequences.reserved + drawn[local]++;
             return p;
         };
+        const auto put_pool = [&](std::uint32_t local, std::uint32_t pass) {  // it visits a pixel once in a pass
+            const std::uint32_t p = put(local, Tag::pool | Tag::no_kernel);
+            const bool beyond = pass >= sequences.reserved;
+            index[p] = beyond ? pass - sequences.reserved : pass;
+            if (beyond) scramble[p] = sequences.beyond;
+            return p;
+        };
         for (const std::uint32_t slot : of_beta) put_adaptive(slot % Tiling::area, Tag::no_kernel);
         const std::size_t first_pass = proposals.slot.size() - proposals.pass.size();
         for (std::size_t c = 0; c < chunks; ++c) {
             for (const Entry& e : sorted(c, chunks, tile)) {
-                std::uint32_t p;
-                if (e.tag & Tag::pool) {  // it visits a pixel once in a pass
-                    p = put(e.local, e.tag);
-                    const std::uint32_t pass = proposals.pass[e.proposal - first_pass];
-                    const bool beyond = pass >= sequences.reserved;
-                    index[p] = beyond ? pass - sequences.reserved : pass;
-                    if (beyond) scramble[p] = sequences.beyond;
-                } else {
-                    p = put_adaptive(e.local, e.tag);
-                }
+                const std::uint32_t p = e.tag & Tag::pool ? put_pool(e.local, proposals.pass[e.proposal - first_pass]) : put_adaptive(e.local, e.tag);
                 if (e.proposal < batch.iteration_samples) batch.place[e.proposal] = p;
             }
         }
+        proposals.pool->in_tile(tile, put_pool);
     }
 
     // From pixels to places in them or, by the filter, around them.
@@ -212,7 +224,8 @@ private:
     Tiling tiling_;
     Sequences sequences_;
     FilterSampler filter_;
-    Buffer<std::uint32_t> starts_;  // chunk by chunk, of each tile among the chunk's entries
+    Buffer<std::uint32_t> starts_;  // of each tile in the batch
+    Buffer<std::uint32_t> chunk_starts_;  // chunk by chunk, of each tile among the chunk's entries
     Buffer<Entry> entries_;
 };
 

@@ -170,8 +170,8 @@ inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std:
     const std::size_t own = batch.iteration_samples;
     const std::size_t moved = own ? population.members.size() * config.moves : 0;
     const std::size_t placed = own ? batch.evaluated.size() : 0, in_pool = own ? pool_slots_.size() : 0;
-    proposals_.slot.resize(given.size() + moved + placed + size);
-    proposals_.tag.resize(given.size() + moved + placed + size);
+    proposals_.slot.resize(given.size() + moved + placed + in_pool);
+    proposals_.tag.resize(given.size() + moved + placed + in_pool);
     std::uint32_t* slot = proposals_.slot.data();
     std::uint8_t* tag = proposals_.tag.data();
     std::copy(given.begin(), given.end(), slot);
@@ -196,14 +196,14 @@ inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std:
         batch.iteration_samples = 0;
         batch.evaluated.clear();
     }
-    const std::size_t pool = size - next, taken = std::min(pool, pool_slots_.size());
-    proposals_.slot.resize(size);
-    proposals_.tag.resize(size);
-    proposals_.pass.resize(pool);
+    const std::size_t taken = std::min<std::size_t>(size - next, pool_slots_.size());
+    proposals_.slot.resize(next + taken);
+    proposals_.tag.resize(next + taken);
+    proposals_.pass.resize(taken);
     std::copy_n(pool_slots_.begin(), taken, slot + next);
     std::copy_n(pool_passes_.begin(), taken, proposals_.pass.data());
-    pool_.take(pool - taken, slot + next + taken, proposals_.pass.data() + taken, threads_);
-    std::fill_n(tag + next, pool, static_cast<std::uint8_t>(Tag::pool | Tag::no_kernel));
+    std::fill_n(tag + next, taken, static_cast<std::uint8_t>(Tag::pool | Tag::no_kernel));
+    proposals_.pool = &pool_.take(size - next - taken);
 }
 
 }  // namespace pmc

@@ -19,7 +19,8 @@ struct Tiling {
     std::size_t pixels() const { return std::size_t(width) * height; }
     std::uint32_t tiles() const { return columns * rows; }
     std::size_t slots() const { return std::size_t(tiles()) * area; }
-    bool has_padding() const { return slots() != pixels(); }
+    // Whether some of a tile's slots are outside the image.
+    bool at_border(std::uint32_t tile) const { return !inside(tile * area + area - 1); }
 
     std::uint32_t slot(std::uint32_t x, std::uint32_t y) const {
         return ((y / side) * columns + x / side) * area + (y % side) * side + x % side;
