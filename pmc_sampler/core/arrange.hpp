@@ -1,4 +1,4 @@
-// From proposals (film slots in any order) to a batch: sorted by tile and pixel, each sample with its index, scramble and place.
+// From proposals (film slots in any order) to a batch: sorted by tile, each sample with its index, scramble and place.
 #pragma once
 
 #include <algorithm>
@@ -144,62 +144,44 @@ private:
             for (std::size_t t = first; t < last; ++t) {
                 std::uint32_t count = proposals.direct.size() ? proposals.direct_starts[t + 1] - proposals.direct_starts[t] : 0;
                 for (std::size_t c = 0; c < chunks; ++c) count += static_cast<std::uint32_t>(sorted(c, chunks, t).size());
-                proposals.pool->in_tile(static_cast<std::uint32_t>(t), [&](std::uint32_t, std::uint32_t) { ++count; });
-                starts_[t + 1] = count;
+                starts_[t + 1] = count + proposals.pool->count(static_cast<std::uint32_t>(t));
             }
         });
         for (std::size_t t = 1; t <= tiles; ++t) starts_[t] += starts_[t - 1];
     }
 
-    // The samples of a tile: sorted by pixel, and in each those of beta first, the pool's last.
+    // The samples of a tile: those of beta, pixel by pixel, the proposals, the pool's.
     void arrange_tile(std::uint32_t tile, std::size_t chunks, const Proposals& proposals, Film& film, Batch& batch) {
-        if (starts_[tile] == starts_[tile + 1]) return;
-        const auto of_beta = proposals.direct.size()
-                                 ? proposals.direct.span().subspan(proposals.direct_starts[tile], proposals.direct_starts[tile + 1] - proposals.direct_starts[tile])
-                                 : std::span<const std::uint32_t>();
+        std::size_t p = starts_[tile];
+        if (p == starts_[tile + 1]) return;
         film.touch(tile);
         const std::uint32_t base = tile * Tiling::area;
-        std::uint32_t next[Tiling::area] = {};
-        std::uint64_t seen[Tiling::area / 64] = {};  // a bit for each pixel that has samples: often few of the tile's have
-        const auto count = [&](std::uint32_t local) {
-            ++next[local];
-            seen[local / 64] |= std::uint64_t(1) << local % 64;
-        };
-        for (const std::uint32_t slot : of_beta) count(slot % Tiling::area);
-        for (std::size_t c = 0; c < chunks; ++c)
-            for (const Entry& e : sorted(c, chunks, tile)) count(e.local);
-        proposals.pool->in_tile(tile, [&](std::uint32_t local, std::uint32_t) { count(local); });
-        std::uint32_t place = starts_[tile];
-        for (std::uint32_t word = 0; word < Tiling::area / 64; ++word)
-            for (std::uint64_t bits = seen[word]; bits; bits &= bits - 1) place += std::exchange(next[64 * word + static_cast<std::uint32_t>(std::countr_zero(bits))], place);
         std::uint32_t* const slots = batch.slot.data(), *const index = batch.index.data(), *const scramble = batch.scramble.data(), *const drawn = &film.drawn[base];
         std::uint8_t* const tags = batch.tag.data();
         const Sequences sequences = sequences_;
-        const auto put = [&](std::uint32_t local, std::uint8_t tag) {
-            const std::uint32_t p = next[local]++;
+        const auto put_adaptive = [&](std::uint32_t local, std::uint8_t tag) {
             slots[p] = base + local;
             tags[p] = tag;
-            scramble[p] = sequences.shared;
-            return p;
-        };
-        const auto put_adaptive = [&](std::uint32_t local, std::uint8_t tag) {
-            const std::uint32_t p = put(local, tag);
             index[p] = sequences.reserved + drawn[local]++;
-            return p;
+            scramble[p++] = sequences.shared;
         };
         const auto put_pool = [&](std::uint32_t local, std::uint32_t pass) {  // it visits a pixel once in a pass
-            const std::uint32_t p = put(local, Tag::pool | Tag::no_kernel);
             const bool beyond = pass >= sequences.reserved;
+            slots[p] = base + local;
+            tags[p] = Tag::pool | Tag::no_kernel;
             index[p] = beyond ? pass - sequences.reserved : pass;
-            if (beyond) scramble[p] = sequences.beyond;
-            return p;
+            scramble[p++] = beyond ? sequences.beyond : sequences.shared;
         };
-        for (const std::uint32_t slot : of_beta) put_adaptive(slot % Tiling::area, Tag::no_kernel);
+        if (proposals.direct.size())
+            for (std::size_t i = proposals.direct_starts[tile]; i < proposals.direct_starts[tile + 1]; ++i) put_adaptive(proposals.direct[i] % Tiling::area, Tag::no_kernel);
         const std::size_t first_pass = proposals.slot.size() - proposals.pass.size();
         for (std::size_t c = 0; c < chunks; ++c) {
             for (const Entry& e : sorted(c, chunks, tile)) {
-                const std::uint32_t p = e.tag & Tag::pool ? put_pool(e.local, proposals.pass[e.proposal - first_pass]) : put_adaptive(e.local, e.tag);
-                if (e.proposal < batch.iteration_samples) batch.place[e.proposal] = p;
+                if (e.proposal < batch.iteration_samples) batch.place[e.proposal] = static_cast<std::uint32_t>(p);
+                if (e.proposal < first_pass)
+                    put_adaptive(e.local, e.tag);
+                else
+                    put_pool(e.local, proposals.pass[e.proposal - first_pass]);
             }
         }
         proposals.pool->in_tile(tile, put_pool);

@@ -13,41 +13,56 @@ namespace pmc {
 
 class Pool {
 public:
-    // A part of the pool's order, to be read tile by tile. Of a place of a pass it has all tiles, but for its first and last.
+    // A part of the pool's order, to be read tile by tile.
     class Stretch {
     public:
         std::size_t size() const { return size_; }
 
-        // Calls emit(local, pass) for its pixels in a tile, in their order; `local`: the pixel's place in its tile.
+        // Calls emit(local, pass) for its pixels in a tile, pass by pass; `local`: the pixel's place in its tile.
         template <class Emit>
         void in_tile(std::uint32_t tile, Emit&& emit) const {
-            std::uint32_t pass = 0, flip = flips_of(tile, pass);
             const bool at_border = tiling_.at_border(tile);
-            for (const Place& p : places_) {
-                if (!p.whole && !(some_[tile] & (&p == &places_.front() ? in_first : in_last))) continue;
-                if (p.pass != pass) flip = flips_of(tile, pass = p.pass);
-                const std::uint32_t local = p.local ^ flip;
+            const auto one = [&](std::uint32_t local, std::uint32_t pass) {
                 if (!at_border || tiling_.inside(tile * Tiling::area + local)) emit(local, pass);
+            };
+            std::uint32_t pass = 0, flip = flip_of(tile, pass);
+            for (const Round& round : rounds_) {
+                if (round.whole_pass) {
+                    for (std::uint32_t local = 0; local < Tiling::area; ++local) one(local, round.pass);
+                } else if (some_[tile] & round.tiles) {
+                    if (round.pass != pass) flip = flip_of(tile, pass = round.pass);
+                    one(round.local ^ flip, pass);
+                }
             }
+        }
+        // How many those are.
+        std::uint32_t count(std::uint32_t tile) const {
+            std::uint32_t count = 0;
+            if (tiling_.at_border(tile))
+                in_tile(tile, [&](std::uint32_t, std::uint32_t) { ++count; });
+            else
+                for (const Round& round : rounds_) count += round.whole_pass ? Tiling::area : (some_[tile] & round.tiles) != 0;
+            return count;
         }
 
     private:
         friend class Pool;
-        struct Place {
+        enum Tiles : std::uint8_t { all = 1, of_first = 2, of_last = 4 };
+        struct Round {  // one place of a pass in each of its tiles, or a whole pass
             std::uint32_t local, pass;
-            bool whole;
+            Tiles tiles;
+            bool whole_pass;
         };
-        enum : std::uint8_t { in_first = 1, in_last = 2 };
 
-        explicit Stretch(const Tiling& tiling, std::uint32_t seed) : tiling_(tiling), seed_(seed) {}
+        Stretch(const Tiling& tiling, std::uint32_t seed) : tiling_(tiling), seed_(seed) {}
         // The exclusive or keeps the sequence's strata and gives each tile and pass an order of its own.
-        std::uint32_t flips_of(std::uint32_t tile, std::uint32_t pass) const { return hash32(tile ^ mix(seed_, pass)) & (Tiling::area - 1); }
+        std::uint32_t flip_of(std::uint32_t tile, std::uint32_t pass) const { return hash32(tile ^ mix(seed_, pass)) & (Tiling::area - 1); }
 
         Tiling tiling_;
         std::uint32_t seed_;
         std::size_t size_ = 0;
-        std::vector<Place> places_;
-        std::vector<std::uint8_t> some_;  // of each tile, whether it is in the first and in the last place
+        std::vector<Round> rounds_;       // all of them with all tiles, but for the first and the last
+        std::vector<std::uint8_t> some_;  // which Tiles each tile is one of
     };
 
     Pool(const Tiling& tiling, std::uint32_t seed)
@@ -58,25 +73,28 @@ public:
 
     // The next `count` pixels of the pool; until the next are taken.
     const Stretch& take(std::size_t count) {
-        const std::uint32_t tiles = tiling_.tiles();
         Stretch& s = stretch_;
         s.size_ = count;
-        s.places_.clear();
-        s.some_.assign(tiles, 0);
+        s.rounds_.clear();
+        s.some_.assign(tiling_.tiles(), Stretch::all);
         while (count > 0) {
-            const std::uint32_t step = static_cast<std::uint32_t>(cursor_ % tiles);
-            const auto pass = static_cast<std::uint32_t>(cursor_ / tiling_.slots()), rank = static_cast<std::uint32_t>(cursor_ % tiling_.slots() / tiles);
-            const std::uint32_t local = in_tile(rank);
-            std::size_t pixels = tiles;
-            for (const std::uint32_t tile : at_border_) pixels -= !tiling_.inside(tile * Tiling::area + (local ^ s.flips_of(tile, pass)));
-            const bool whole = step == 0 && pixels <= count;
-            const auto which = static_cast<std::uint8_t>(s.places_.empty() ? Stretch::in_first : Stretch::in_last);
-            s.places_.push_back({local, pass, whole});
-            if (whole) {
+            if (cursor_ % tiling_.slots() == 0 && tiling_.pixels() <= count) {
+                s.rounds_.push_back({0, pass(), Stretch::all, true});
+                cursor_ += tiling_.slots();
+                count -= tiling_.pixels();
+                continue;
+            }
+            const std::uint32_t local = in_tile(rank());
+            std::size_t pixels = tiling_.tiles();
+            for (const std::uint32_t tile : at_border_) pixels -= !tiling_.inside(tile * Tiling::area + (local ^ s.flip_of(tile, pass())));
+            if (cursor_ % tiling_.tiles() == 0 && pixels <= count) {
+                s.rounds_.push_back({local, pass(), Stretch::all, false});
+                cursor_ += tiling_.tiles();
                 count -= pixels;
-                cursor_ += tiles;
             } else {
-                walk(count, [&](std::uint32_t slot, std::uint32_t) { s.some_[slot / Tiling::area] |= which; });
+                const Stretch::Tiles tiles = s.rounds_.empty() ? Stretch::of_first : Stretch::of_last;
+                s.rounds_.push_back({local, pass(), tiles, false});
+                walk(count, [&](std::uint32_t slot, std::uint32_t) { s.some_[slot / Tiling::area] |= tiles; });
             }
         }
         return s;
@@ -91,16 +109,18 @@ public:
     void set_cursor(std::uint64_t cursor) { cursor_ = cursor; }
 
 private:
-    // Calls emit(slot, pass) for the pixels that are left of a place, or as many as `count`, which becomes less by their number.
+    std::uint32_t pass() const { return static_cast<std::uint32_t>(cursor_ / tiling_.slots()); }
+    std::uint32_t rank() const { return static_cast<std::uint32_t>(cursor_ % tiling_.slots() / tiling_.tiles()); }
+
+    // Calls emit(slot, pass) for the pixels that are left of a place in a pass, or as many as `count`, which becomes less by their number.
     template <class Emit>
     void walk(std::size_t& count, Emit&& emit) {
         const std::uint32_t tiles = tiling_.tiles();
-        const auto pass = static_cast<std::uint32_t>(cursor_ / tiling_.slots()), rank = static_cast<std::uint32_t>(cursor_ % tiling_.slots() / tiles);
+        const std::uint32_t pass = this->pass(), start = mix(seed_ ^ pass, rank()) % tiles, local = in_tile(rank());
         auto step = static_cast<std::uint32_t>(cursor_ % tiles);
-        const std::uint32_t start = mix(seed_ ^ pass, rank) % tiles, local = in_tile(rank);
         auto tile = static_cast<std::uint32_t>((start + std::uint64_t(step) * stride_) % tiles);
         for (; step < tiles && count > 0; ++step, ++cursor_) {
-            const std::uint32_t slot = tile * Tiling::area + (local ^ stretch_.flips_of(tile, pass));
+            const std::uint32_t slot = tile * Tiling::area + (local ^ stretch_.flip_of(tile, pass));
             tile += stride_;
             if (tile >= tiles) tile -= tiles;
             if (!at_border_.empty() && !tiling_.inside(slot)) continue;
