@@ -155,19 +155,13 @@ public:
     // own count of its samples.
     void weights(std::uint32_t tile, TileWeights& w) const {
         const std::size_t first = std::size_t(tile) * Tiling::area;
-        inverses(drawn.data() + first, tiles_[tile].passes, w.inverse);
-        if (rule_ == Beta::gain)
-            gains(score_.data() + first, w.inverse, w.pixel);
-        else  // negative counts: see gains()
-            for (std::uint32_t i = 0; i < Tiling::area; ++i) w.pixel[i] = w.inverse[i] < 0.0f ? 0.0f : score_[first + i];
-        if (power_ == 2.0)
-            square(w.pixel);
-        else if (power_ != 1.0)
+        weigh_pixels(score_.data() + first, drawn.data() + first, tiles_[tile].passes, rule_ == Beta::gain, power_ == 2.0, w);
+        if (power_ != 1.0 && power_ != 2.0)
             for (float& v : w.pixel) v = v > 0.0f ? static_cast<float>(std::pow(double(v), power_)) : 0.0f;
         if (unbiased_)  // some weight for each, so that the other colour has no say in whether there is any
             for (std::uint32_t i = 0; i < Tiling::area; ++i)
                 w.pixel[i] = (i + i / Tiling::side) % 2 == colour_ && tiling.inside(tile * Tiling::area + i) ? std::max(w.pixel[i], 1e-30f) : 0.0f;
-        sum_columns(w.pixel, w.column);
+        sum_columns(w);
     }
     // Brings the sums of tiles [first, last) up to date; `passes` of the pool are drawn.
     void weigh(std::size_t first, std::size_t last, float passes) {
@@ -180,7 +174,7 @@ public:
             tiles_[t].stale = false;
             weights(static_cast<std::uint32_t>(t), w);
             for (float column : w.column) tiles_[t].weight += column;
-            tiles_[t].crowding = crowding(w.pixel, w.inverse);
+            tiles_[t].crowding = crowding(w);
         }
     }
     double tile_weight(std::size_t tile) const { return tiles_[tile].weight; }

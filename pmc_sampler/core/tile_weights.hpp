@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 
 #include "multiversion.hpp"
 #include "tiling.hpp"
@@ -16,38 +17,33 @@ struct TileWeights {
     float pixel[Tiling::area], column[Tiling::side];  // their weights, and these summed down the columns
 };
 
-// 1 / (drawn + passes), or -1 from 2^31 samples on, where a count is negative.
-PMC_MULTIVERSION inline void inverses(const std::uint32_t* drawn, float passes, float* inverse) {
+// Weights by score, or by score / n^2, the gain of one more sample; squared or not. n: drawn + passes. From 2^31 samples on, where
+// a count is negative, a pixel gets no more, lest its count run over.
+PMC_MULTIVERSION inline void weigh_pixels(const float* score, const std::uint32_t* drawn, float passes, bool by_gain, bool squared, TileWeights& w) {
     for (std::uint32_t i = 0; i < Tiling::area; ++i) {
         const auto count = static_cast<std::int32_t>(drawn[i]);
-        const float one_over = 1.0f / (static_cast<float>(count) + passes);
-        inverse[i] = count < 0 ? -1.0f : one_over;
+        const float inverse = 1.0f / (static_cast<float>(count) + passes);
+        float weight = by_gain ? score[i] * inverse * inverse : score[i];
+        weight = count < 0 ? 0.0f : weight;
+        w.inverse[i] = count < 0 ? 0.0f : inverse;
+        w.pixel[i] = squared ? weight * weight : weight;
     }
 }
 
-// score / n^2: the gain of one more sample. A pixel without an inverse gets no more, lest its count run over.
-PMC_MULTIVERSION inline void gains(const float* score, const float* inverse, float* gain) {
-    for (std::uint32_t i = 0; i < Tiling::area; ++i) gain[i] = inverse[i] < 0.0f ? 0.0f : score[i] * inverse[i] * inverse[i];
-}
-
-PMC_MULTIVERSION inline void square(float* values) {
-    for (std::uint32_t i = 0; i < Tiling::area; ++i) values[i] *= values[i];
-}
-
-PMC_MULTIVERSION inline void sum_columns(const float* values, float* sums) {
+PMC_MULTIVERSION inline void sum_columns(TileWeights& w) {
     float sum[Tiling::side] = {};
     for (std::uint32_t row = 0; row < Tiling::side; ++row)
-        for (std::uint32_t c = 0; c < Tiling::side; ++c) sum[c] += values[row * Tiling::side + c];
-    for (std::uint32_t c = 0; c < Tiling::side; ++c) sums[c] = sum[c];
+        for (std::uint32_t c = 0; c < Tiling::side; ++c) sum[c] += w.pixel[row * Tiling::side + c];
+    for (std::uint32_t c = 0; c < Tiling::side; ++c) w.column[c] = sum[c];
 }
 
 // Sum of weight^2 / n: what SystematicDraw::growth() is made of.
-PMC_MULTIVERSION inline double crowding(const float* weights, const float* inverse) {
+PMC_MULTIVERSION inline double crowding(const TileWeights& w) {
     double sum[Tiling::side] = {};
     for (std::uint32_t row = 0; row < Tiling::side; ++row) {
         for (std::uint32_t c = 0; c < Tiling::side; ++c) {
-            const double weight = weights[row * Tiling::side + c];
-            sum[c] += weight * weight * static_cast<double>(inverse[row * Tiling::side + c]);
+            const double weight = w.pixel[row * Tiling::side + c];
+            sum[c] += weight * weight * static_cast<double>(w.inverse[row * Tiling::side + c]);
         }
     }
     double total = 0.0;
@@ -80,10 +76,16 @@ PMC_MULTIVERSION inline void count_draws(const TileWeights& w, double scale, dou
             before[c] = now;
         }
     }
+    // From bytes of 0 or 1 to bits: eight by one multiplication.
+    alignas(8) std::uint8_t any[Tiling::area];
+    for (std::uint32_t i = 0; i < Tiling::area; ++i) any[i] = counts[i] > 0;
     for (std::uint32_t word = 0; word < Tiling::area / 64; ++word) {
-        std::uint64_t bits = 0;
-        for (std::uint64_t i = 0; i < 64; ++i) bits |= static_cast<std::uint64_t>(counts[64 * word + i] > 0) << i;
-        drawn[word] = bits;
+        drawn[word] = 0;
+        for (std::uint32_t byte = 0; byte < 8; ++byte) {
+            std::uint64_t eight;
+            std::memcpy(&eight, any + 64 * word + 8 * byte, 8);
+            drawn[word] |= (eight * 0x0102040810204080u >> 56) << 8 * byte;
+        }
     }
 }
 
