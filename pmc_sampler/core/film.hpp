@@ -54,9 +54,9 @@ public:
           aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
           rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), unbiased_(config.is_unbiased()), live_(!uniform_ && !unbiased_ && config.adapt_beta_every == 1) {}
 
-    // Adds a batch; radiance holds 3 + aovs floats a sample. Samples that are not finite or negative are left out, and their
-    // number returned. `luminances`, if any, receives each sample's, NaN where it was left out.
-    std::uint64_t add(const Batch& batch, const float* radiance, float* luminances, ThreadPool& threads) {
+    // Adds a batch; radiance holds 3 + aovs floats a sample. Samples that are not valid() are left out, and their number returned;
+    // `clean` where there are none.
+    std::uint64_t add(const Batch& batch, const float* radiance, bool clean, ThreadPool& threads) {
         std::atomic<std::uint64_t> rejected{0};
         const std::uint32_t* slot = batch.slot.data();
         const std::size_t n = batch.size();
@@ -66,25 +66,19 @@ public:
             return i;
         };
         threads.ranges(n, 2048, [&](std::size_t first, std::size_t last) {
-            const std::size_t begin = boundary(first), size = boundary(last) - begin, channels = 3 + aovs;
-            const Told told{slot + begin, batch.tag.data() + begin, radiance + begin * channels, channels, size};
-            const bool clean = all_valid(told.radiance, size);
-            if (luminances) write_luminances(told, luminances + begin);
-            if (clean) return add_valid(told);
+            const std::size_t begin = boundary(first), end = boundary(last), channels = 3 + aovs;
+            if (clean) return add_valid({slot + begin, batch.tag.data() + begin, radiance + begin * channels, channels, end - begin});
             std::vector<std::uint32_t> slots;
             std::vector<std::uint8_t> tags;
             std::vector<float> values;
-            for (std::size_t i = 0; i < size; ++i) {
-                const float* v = told.radiance + i * channels;
-                if (valid(v)) {
-                    slots.push_back(told.slot[i]);
-                    tags.push_back(told.tag[i]);
-                    values.insert(values.end(), v, v + channels);
-                } else if (luminances) {
-                    luminances[begin + i] = std::numeric_limits<float>::quiet_NaN();
-                }
+            for (std::size_t i = begin; i < end; ++i) {
+                const float* v = radiance + i * channels;
+                if (!valid(v)) continue;
+                slots.push_back(slot[i]);
+                tags.push_back(batch.tag[i]);
+                values.insert(values.end(), v, v + channels);
             }
-            rejected += size - slots.size();
+            rejected += end - begin - slots.size();
             add_valid({slots.data(), tags.data(), values.data(), channels, slots.size()});
         });
         samples += n - rejected;
@@ -258,6 +252,12 @@ public:
         return ok;
     }
 
+    // Luminance of the i-th of some samples, NaN where it is not valid().
+    float luminance_of(const float* radiance, std::size_t i) const {
+        const float* v = radiance + i * (3 + aovs);
+        return valid(v) ? static_cast<float>(luminance(double(v[0]), double(v[1]), double(v[2]))) : std::numeric_limits<float>::quiet_NaN();
+    }
+
     // Whether n samples are valid(), at a glance; false where it cannot tell, as of channels after RGB that are negative.
     bool all_valid(const float* radiance, std::size_t n) const {
         const float highest = std::numeric_limits<float>::max();
@@ -303,36 +303,34 @@ private:
 
     void add_valid(const Told& told) {
         Moments moments;
+        float scores[Told::block];
+        std::uint32_t of_pool[Told::block], of_kernels[Told::block];
         for (std::size_t first = 0, last; first < told.size; first = last) {
-            last = first + add_to_sums(sums.data(), (const char*)pool_mean.data(), (const char*)strategy.data(), told.from(first, told.size), moments);
+            last = told.end_of_block(first);
+            std::size_t in_pool = 0, by_kernels = 0;
             if (!uniform_) {
-                std::uint32_t of_pool[block], of_kernels[block];
-                for (std::size_t begin = first, end; begin < last; begin = end) {
-                    end = std::min(begin + block, last);
-                    std::size_t in_pool = 0, by_kernels = 0;
-                    for (std::size_t i = begin; i < end; ++i) {
-                        of_pool[in_pool] = of_kernels[by_kernels] = static_cast<std::uint32_t>(i);
-                        in_pool += (told.tag[i] & Tag::pool) != 0;
-                        by_kernels += (told.tag[i] & Tag::kernel_mask) != Tag::no_kernel;
-                    }
-                    add_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, told.from(0, last), of_pool, in_pool);
-                    for (std::size_t i = 0; i < by_kernels; ++i) count_strategy(strategy[told.slot[of_kernels[i]]], told.tag[of_kernels[i]]);
+                for (std::size_t i = first; i < last; ++i) {
+                    of_pool[in_pool] = of_kernels[by_kernels] = static_cast<std::uint32_t>(i);
+                    in_pool += (told.tag[i] & Tag::pool) != 0;
+                    by_kernels += (told.tag[i] & Tag::kernel_mask) != Tag::no_kernel;
                 }
+                for (std::size_t i = 0; i < in_pool; ++i) __builtin_prefetch(&pool_mean[told.slot[of_pool[i]]], 1);
+                for (std::size_t i = 0; i < by_kernels; ++i) __builtin_prefetch(&strategy[told.slot[of_kernels[i]]], 1);
             }
-            for (std::size_t i = first; i < last; ++i)
+            add_to_sums(sums.data(), told, first, last, moments);
+            add_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, told, last, of_pool, in_pool);
+            for (std::size_t i = 0; i < by_kernels; ++i) count_strategy(strategy[told.slot[of_kernels[i]]], told.tag[of_kernels[i]]);
+            for (std::size_t i = aovs ? first : last; i < last; ++i)
                 for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[std::size_t(told.slot[i]) * aovs + c] += told.radiance[i * told.stride + 3 + c];
             if (!live_) continue;
-            float scores[Moments::most];
             if (rule_ == Beta::gain) scores_gain(moments, inverse_square_tvi_, white_, scores);
             else scores_variance(moments, inverse_square_tvi_, white_, scores);
             for (std::size_t i = 0; i < moments.size; ++i) {
-                const std::size_t slot = moments.slot[i];
-                score_[slot] = scores[i];
-                tiles_[slot / Tiling::area].stale = true;
+                score_[moments.slot[i]] = scores[i];
+                tiles_[moments.slot[i] / Tiling::area].stale = true;
             }
         }
     }
-    static constexpr std::size_t block = 256;
 
     static void count_strategy(std::array<std::uint16_t, 3>& counts, std::uint32_t kernel) {
         if (counts[kernel] == std::numeric_limits<std::uint16_t>::max())

@@ -11,6 +11,7 @@
 #include "multiversion.hpp"
 #include "perception.hpp"
 #include "rounding.hpp"
+#include "tiling.hpp"
 
 namespace pmc {
 
@@ -89,49 +90,45 @@ struct Told {
     std::size_t stride;  // floats a sample
     std::size_t size;
 
-    Told from(std::size_t first, std::size_t last) const { return {slot + first, tag + first, radiance + first * stride, stride, last - first}; }
+    // They are worked through in blocks, each in several steps while it is in the nearest caches. Where the block ends that begins
+    // at `first`: with a tile or, in one that has many, a whole number of blocks after its beginning. So how the samples of a pixel
+    // are parted, and their sums rounded, does not depend on what part of a batch this is.
+    static constexpr std::size_t block = 256;
+    std::size_t end_of_block(std::size_t first) const {
+        if (first + block >= size) return size;
+        std::size_t end = first + block;
+        while (end > first && slot[end - 1] / Tiling::area == slot[end] / Tiling::area) --end;
+        return end > first ? end : first + block;
+    }
 };
 
-PMC_MULTIVERSION inline void write_luminances(const Told& told, float* luminances) {
-    for (std::size_t i = 0; i < told.size; ++i) {
-        const float* v = told.radiance + i * told.stride;
-        luminances[i] = static_cast<float>(luminance(double(v[0]), double(v[1]), double(v[2])));
-    }
-}
-
-// Moments of luminance of the pixels that were changed.
+// Moments of luminance of pixels.
 struct Moments {
-    static constexpr std::size_t most = 128;
-
-    std::uint32_t slot[most];
-    double variance[most], mean[most];
+    std::uint32_t slot[Told::block];
+    double variance[Told::block], mean[Told::block];
     std::size_t size = 0;
 };
 
-// Adds samples until there are no more, or as many pixels as Moments hold have changed; how many were added.
-PMC_MULTIVERSION inline std::size_t add_to_sums(PixelSums* sums, const char* pool_mean, const char* strategy, const Told& told, Moments& moments) {
+// Adds samples [first, last), a block, and notes the moments of their pixels.
+PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std::size_t first, std::size_t last, Moments& moments) {
     // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
     constexpr std::size_t ahead = 32;
     const std::uint32_t* const slot = told.slot;
-    const float* radiance = told.radiance;
-    const std::size_t size = told.size, stride = told.stride;
-    std::size_t i = 0, changed = 0;
-    while (i < size && changed < Moments::most) {
+    const std::uint8_t* const tag = told.tag;
+    const std::size_t end = told.size - 1, stride = told.stride;
+    const float* radiance = told.radiance + first * stride;
+    std::size_t changed = 0;
+    for (std::size_t i = first; i < last;) {
         const std::uint32_t at = slot[i];
         PixelSums& p = sums[at];
         RunningSums running(p);
         std::uint32_t n_pool = p.n_pool;
         do {
-            const std::size_t later = i + ahead < size ? i + ahead : size - 1;
-            __builtin_prefetch(&sums[slot[later]], 1);
-            const std::size_t k = slot[later];
-            const char* const a = pool_mean + k * 16, *const b = strategy + k * 6, *const c = reinterpret_cast<const char*>(&sums[k]);
-            const std::uint8_t tag = told.tag[later];
-            __builtin_prefetch(tag & Tag::pool ? a : tag == Tag::no_kernel ? c : b, 1);
+            __builtin_prefetch(&sums[slot[std::min(i + ahead, end)]], 1);
             running.add(radiance);
-            n_pool += (told.tag[i] & Tag::pool) != 0;
+            n_pool += (tag[i] & Tag::pool) != 0;
             radiance += stride;
-        } while (++i < size && slot[i] == at);
+        } while (++i < last && slot[i] == at);
         running.store(p);
         p.n_pool = n_pool;
         moments.slot[changed] = at;
@@ -139,17 +136,16 @@ PMC_MULTIVERSION inline std::size_t add_to_sums(PixelSums* sums, const char* poo
         moments.mean[changed++] = running.mean();
     }
     moments.size = changed;
-    return i;
 }
 
-// Adds those of the samples that are the pool's to the means of the pool's own, once all of them are in the sums; and their squared
-// deviations of luminance to `m2`, if any.
-PMC_MULTIVERSION inline void add_to_pool(const PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, const std::uint32_t* which, std::size_t count) {
+// Adds samples of the pool, `which`, to the means of the pool's own, once all until `last` are in the sums; and their squared deviations
+// of luminance to `m2`, if any.
+PMC_MULTIVERSION inline void add_to_pool(const PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, std::size_t last, const std::uint32_t* which, std::size_t count) {
     for (std::size_t k = 0; k < count; ++k) {
         const std::size_t i = which[k];
         const std::uint32_t slot = told.slot[i];
         std::uint32_t n = sums[slot].n_pool;  // with this sample, but without those that follow
-        for (std::size_t later = i + 1; later < told.size && told.slot[later] == slot; ++later) n -= (told.tag[later] & Tag::pool) != 0;
+        for (std::size_t later = i + 1; later < last && told.slot[later] == slot; ++later) n -= (told.tag[later] & Tag::pool) != 0;
         const double weight = reciprocal(n);
         Quad mean = means[slot].get();
         const Quad deviation = quad(told.radiance + i * told.stride) - mean;

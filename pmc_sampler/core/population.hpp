@@ -208,21 +208,23 @@ struct Population {
         });
     }
 
-    // What a batch's luminances say of the members that proposed it; NaN is left out.
-    void tell(const Batch& batch, const float* luminances, std::uint32_t moves, ThreadPool& threads) {
+    // What a batch's samples say of the members that proposed it. luminance(i): that of the i-th, NaN where it is left out.
+    template <class Luminance>
+    void tell(const Batch& batch, Luminance&& luminance, std::uint32_t moves, ThreadPool& threads) {
         const std::size_t moved = members.size() * moves;
         for (std::size_t i = 0; i < batch.evaluated.size(); ++i) {
-            const float y = luminances[batch.place[moved + i]];
+            const float y = luminance(batch.place[moved + i]);
             if (y == y) members[batch.evaluated[i]].all.add(y);
         }
-        threads.ranges(members.size(), 4096, [&](std::size_t first, std::size_t last) {
+        threads.ranges(members.size(), 256, [&](std::size_t first, std::size_t last) {
             for (std::size_t m = first; m < last; ++m) {
                 Member& member = members[m];
                 for (std::size_t proposal = m * moves; proposal < (m + 1) * moves; ++proposal) {
                     const std::uint32_t i = batch.place[proposal];
-                    if (luminances[i] != luminances[i]) continue;
-                    member.all.add(luminances[i]);
-                    member.kernel[batch.tag[i] & Tag::kernel_mask].add(luminances[i]);
+                    const float y = luminance(i);
+                    if (y != y) continue;
+                    member.all.add(y);
+                    member.kernel[batch.tag[i] & Tag::kernel_mask].add(y);
                 }
                 ++member.rounds;
             }

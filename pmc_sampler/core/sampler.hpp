@@ -91,14 +91,14 @@ public:
             throw std::invalid_argument("tell: got " + std::to_string(radiance.size()) + " values for batch " + std::to_string(batch.number) + ", expected " +
                                         std::to_string(batch.size()) + " samples of " + std::to_string(channels) + " channels");
         const ThreadPool::Awake awake(threads_);
-        check_mostly_valid(batch, radiance);
+        const bool clean = check_mostly_valid(batch, radiance);
         const auto kept = open->second;
         open_.erase(open);
         if (done_ == Done::visible_noise) return;  // what comes after must not depend on how many were open
         if (kept->number == told_)
-            incorporate(*kept, radiance.data());
+            incorporate(*kept, radiance.data(), clean);
         else
-            waiting_[kept->number] = {kept, std::vector<float>(radiance.begin(), radiance.end())};
+            waiting_[kept->number] = {kept, std::vector<float>(radiance.begin(), radiance.end()), clean};
         catch_up();
     }
 
@@ -109,9 +109,9 @@ public:
         open_.erase(open);
         if (done_ == Done::visible_noise) return;
         if (kept->number == told_)
-            incorporate(*kept, nullptr);
+            incorporate(*kept, nullptr, false);
         else
-            waiting_[kept->number] = {kept, std::nullopt};
+            waiting_[kept->number] = {kept, std::nullopt, false};
         catch_up();
     }
 
@@ -162,6 +162,7 @@ private:
     struct Waiting {
         std::shared_ptr<const Batch> batch;
         std::optional<std::vector<float>> radiance;  // none: dropped
+        bool clean = false;                          // all of it is known to be valid
     };
 
     static const Budget& checked(const Budget& budget) {
@@ -186,7 +187,8 @@ private:
         return open;
     }
 
-    void check_mostly_valid(const Batch& batch, std::span<const float> radiance) {
+    // Whether all samples are valid; throws where most are not.
+    bool check_mostly_valid(const Batch& batch, std::span<const float> radiance) {
         const std::size_t invalid = film_.invalid(radiance.data(), batch.size(), threads_);
         constexpr std::size_t few = 64;
         const std::uint64_t told = film_.samples + rejected_;
@@ -194,19 +196,18 @@ private:
             throw std::invalid_argument("tell: " + std::to_string(invalid) + " of " + std::to_string(batch.size()) + " samples of batch " +
                                         std::to_string(batch.number) +
                                         (film_.is_signed ? " are NaN or infinite" : " are NaN, infinite or negative") + "; expected linear radiance: mend the renderer, or drop the batch");
+        return invalid == 0;
     }
 
     // Everything that is in turn. Batch k is drawn from what batches up to k - 1 - lookahead told: before the next is taken in,
     // the batches that must not know of it are drawn.
-    void incorporate(const Batch& batch, const float* radiance) {
+    void incorporate(const Batch& batch, const float* radiance, bool clean) {
         while (drawn_batches_ < told_ + config.lookahead + 1 && prepare()) {
         }
         ++told_;
         if (radiance) {
-            const bool members = batch.iteration_samples > 0;
-            if (members) luminances_.resize(batch.size());
-            rejected_ += film_.add(batch, radiance, members ? luminances_.data() : nullptr, threads_);
-            if (members) population_of(batch.number).tell(batch, luminances_.data(), config.moves, threads_);
+            rejected_ += film_.add(batch, radiance, clean, threads_);
+            if (batch.iteration_samples > 0) population_of(batch.number).tell(batch, [&](std::size_t i) { return film_.luminance_of(radiance, i); }, config.moves, threads_);
         } else {
             issued_ -= batch.size();
         }
@@ -221,7 +222,7 @@ private:
         for (auto next = waiting_.find(told_); next != waiting_.end() && done_ != Done::visible_noise; next = waiting_.find(told_)) {
             const Waiting ready = std::move(next->second);
             waiting_.erase(next);
-            incorporate(*ready.batch, ready.radiance ? ready.radiance->data() : nullptr);
+            incorporate(*ready.batch, ready.radiance ? ready.radiance->data() : nullptr, ready.clean);
         }
     }
 
@@ -293,7 +294,6 @@ private:
     Proposals proposals_;
     std::vector<std::uint32_t> pool_slots_, pool_passes_, member_slots_;
     Buffer<std::uint32_t> drawn_slots_;
-    Buffer<float> luminances_;
 };
 
 }  // namespace pmc

@@ -40,7 +40,7 @@ void film(const char* file, std::uint64_t each, std::uint64_t cycles, std::size_
             const float x = values[(told + i) / each % values.size()];
             radiance[3 * i] = x, radiance[3 * i + 1] = 0.5f * x, radiance[3 * i + 2] = 2.0f * x;
         }
-        film.add(next, radiance.data(), nullptr, threads);
+        film.add(next, radiance.data(), false, threads);
         told += next.size();
     }
     const pmc::PixelSums& p = film.sums[0];
@@ -79,7 +79,7 @@ void beta(std::uint64_t updates) {
             batch.slot[n] = static_cast<std::uint32_t>(film.sums.size() - 1);
             for (std::uint32_t c = 0; c < 3; ++c) radiance[3 * n + c] = 1.0f;
         }
-        film.add(batch, radiance.data(), nullptr, threads);
+        film.add(batch, radiance.data(), false, threads);
         const pmc::SystematicDraw draw(film, 1.0f, threads);
         if ((round + 1) * size < updates && round % 1024) continue;
         long double total = 0.0L;
