@@ -59,8 +59,8 @@ public:
         deviation[3] = of_luminance(deviation);
         m2_ += deviation * deviation * (count * next_);
         sum_ += x;
-        // A weight of 0 costs less than a branch that nobody can predict.
-        half_ += (x - half_) * (reciprocal(n / 2 + 1) * double(1 - n % 2));
+        // A weight of 0, reciprocal(0), costs less than a branch that nobody can predict.
+        half_ += (x - half_) * reciprocal((n / 2 + 1) & (n % 2 - 1));
         ++n;
     }
     [[gnu::always_inline]] void store(PixelSums& p) const {

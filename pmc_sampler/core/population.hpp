@@ -129,13 +129,12 @@ struct Population {
     std::vector<std::uint32_t> eliminated(double share, const Stream& stream) const {
         const std::size_t n = members.size();
         const auto survivors = static_cast<std::size_t>(std::llround((1.0 - share) * static_cast<double>(n)));
-        std::vector<std::uint32_t> gone;
-        gone.reserve(n - survivors);
         if (survivors == 0) {
-            for (std::uint32_t i = 0; i < n; ++i) gone.push_back(i);
-            return gone;
+            std::vector<std::uint32_t> all(n);
+            std::iota(all.begin(), all.end(), 0u);
+            return all;
         }
-        if (survivors >= n) return gone;
+        if (survivors >= n) return {};
         // log(u) / w, larger is better; without weight, after all others and at random.
         std::vector<float> key(n), sorted;
         for (std::size_t i = 0; i < n; ++i) {
@@ -150,13 +149,15 @@ struct Population {
         const float threshold = *last_kept;
         // Among equal keys the first members stay.
         auto ties = survivors - static_cast<std::size_t>(std::count_if(key.begin(), key.end(), [&](float k) { return k > threshold; }));
+        std::vector<std::uint32_t> gone(n + 1);
+        std::size_t count = 0;
         for (std::uint32_t i = 0; i < n; ++i) {
-            if (key[i] > threshold || (key[i] == threshold && ties > 0)) {
-                ties -= key[i] == threshold;
-                continue;
-            }
-            gone.push_back(i);
+            const bool tied = key[i] == threshold, stays = key[i] > threshold || (tied && ties > 0);
+            ties -= tied && ties > 0;
+            gone[count] = i;  // overwritten by the next where this one stays: no branch that nobody can predict
+            count += !stays;
         }
+        gone.resize(count);
         return gone;
     }
 
