@@ -178,11 +178,14 @@ inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std:
     std::fill_n(tag, given.size(), Tag::no_kernel);
     // Regenerated members are evaluated where they are now, before they move.
     std::size_t next = given.size() + moved;
-    for (std::size_t i = 0; i + in_pool < placed; ++i, ++next) {
-        const Member& member = population.members[batch.evaluated[i]];
-        slot[next] = film_.tiling.slot(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y));
-        tag[next] = Tag::no_kernel;
-    }
+    threads_.ranges(placed - in_pool, 512, [&](std::size_t first, std::size_t last) {
+        for (std::size_t i = first; i < last; ++i) {
+            const Member& member = population.members[batch.evaluated[i]];
+            slot[next + i] = film_.tiling.slot(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y));
+            tag[next + i] = Tag::no_kernel;
+        }
+    });
+    next += placed - in_pool;
     if (moved) population.move(config, film_.tiling, Stream(seed, stream::move, batch.number), slot, tag, threads_);
     if (own < moved + placed) {
         // Cut short by the end of the budget: keep evenly spaced proposals; the members learn nothing from this one.

@@ -94,7 +94,7 @@ public:
             } else {
                 const Stretch::Tiles tiles = s.rounds_.empty() ? Stretch::of_first : Stretch::of_last;
                 s.rounds_.push_back({local, pass(), tiles, false});
-                walk(count, [&](std::uint32_t slot, std::uint32_t) { s.some_[slot / Tiling::area] |= tiles; });
+                walk(count, [&](std::uint32_t tile) { s.some_[tile] |= tiles; });
             }
         }
         return s;
@@ -102,7 +102,10 @@ public:
     // The same one by one, as emit(slot, pass) in the order of the pool.
     template <class Emit>
     void take(std::size_t count, Emit&& emit) {
-        while (count > 0) walk(count, emit);
+        while (count > 0) {
+            const std::uint32_t pass = this->pass(), local = in_tile(rank());
+            walk(count, [&](std::uint32_t tile) { emit(tile * Tiling::area + (local ^ stretch_.flip_of(tile, pass)), pass); });
+        }
     }
 
     std::uint64_t cursor() const { return cursor_; }
@@ -112,19 +115,19 @@ private:
     std::uint32_t pass() const { return static_cast<std::uint32_t>(cursor_ / tiling_.slots()); }
     std::uint32_t rank() const { return static_cast<std::uint32_t>(cursor_ % tiling_.slots() / tiling_.tiles()); }
 
-    // Calls emit(slot, pass) for the pixels that are left of a place in a pass, or as many as `count`, which becomes less by their number.
-    template <class Emit>
-    void walk(std::size_t& count, Emit&& emit) {
-        const std::uint32_t tiles = tiling_.tiles();
-        const std::uint32_t pass = this->pass(), start = mix(seed_ ^ pass, rank()) % tiles, local = in_tile(rank());
+    // Calls visit(tile) for the tiles of which a place of a pass has pixels left, or as many as `count`, which becomes less by their
+    // number.
+    template <class Visit>
+    void walk(std::size_t& count, Visit&& visit) {
+        const std::uint32_t tiles = tiling_.tiles(), pass = this->pass(), start = mix(seed_ ^ pass, rank()) % tiles, local = in_tile(rank());
         auto step = static_cast<std::uint32_t>(cursor_ % tiles);
         auto tile = static_cast<std::uint32_t>((start + std::uint64_t(step) * stride_) % tiles);
         for (; step < tiles && count > 0; ++step, ++cursor_) {
-            const std::uint32_t slot = tile * Tiling::area + (local ^ stretch_.flip_of(tile, pass));
+            const std::uint32_t here = tile;
             tile += stride_;
             if (tile >= tiles) tile -= tiles;
-            if (!at_border_.empty() && !tiling_.inside(slot)) continue;
-            emit(slot, pass);
+            if (!at_border_.empty() && !tiling_.inside(here * Tiling::area + (local ^ stretch_.flip_of(here, pass)))) continue;
+            visit(here);
             --count;
         }
     }

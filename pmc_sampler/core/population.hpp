@@ -213,10 +213,12 @@ struct Population {
     template <class Luminance>
     void tell(const Batch& batch, Luminance&& luminance, std::uint32_t moves, ThreadPool& threads) {
         const std::size_t moved = members.size() * moves;
-        for (std::size_t i = 0; i < batch.evaluated.size(); ++i) {
-            const float y = luminance(batch.place[moved + i]);
-            if (y == y) members[batch.evaluated[i]].all.add(y);
-        }
+        threads.ranges(batch.evaluated.size(), 512, [&](std::size_t first, std::size_t last) {
+            for (std::size_t i = first; i < last; ++i) {
+                const float y = luminance(batch.place[moved + i]);
+                if (y == y) members[batch.evaluated[i]].all.add(y);
+            }
+        });
         threads.ranges(members.size(), 256, [&](std::size_t first, std::size_t last) {
             for (std::size_t m = first; m < last; ++m) {
                 Member& member = members[m];

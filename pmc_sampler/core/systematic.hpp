@@ -57,6 +57,7 @@ public:
     template <class Beside>
     SystematicDraw(Film& film, float passes, ThreadPool& threads, Beside&& beside) : film_(film), starts_((film.tiling.tiles() + block - 1) / block + 1, 0.0) {
         const std::size_t tiles = film.tiling.tiles();
+        std::vector<double> crowding(starts_.size(), 0.0);
         threads.run(starts_.size(), [&](std::size_t i) {
             if (i == 0) {
                 beside();
@@ -65,14 +66,17 @@ public:
             const std::size_t first = (i - 1) * block, last = std::min(tiles, first + block);
             film.weigh(first, last, passes);
             double sum = 0.0;
-            for (std::size_t t = first; t < last; ++t) sum += film.tile_weight(t);
+            for (std::size_t t = first; t < last; ++t) {
+                sum += film.tile_weight(t);
+                crowding[i] += film.tile_crowding(t);
+            }
             starts_[i] = sum;
         });
         for (std::size_t b = 1; b < starts_.size(); ++b) {
             if (starts_[b] > 0.0) last_ = b - 1;
             starts_[b] += starts_[b - 1];
         }
-        for (std::size_t t = 0; t < tiles; ++t) crowding_ += film.tile_crowding(t);
+        for (const double of_block : crowding) crowding_ += of_block;
     }
 
     double total() const { return starts_.back(); }
