@@ -234,7 +234,7 @@ public:
     // How many of n samples are not valid(); 3 + aovs floats each.
     std::size_t invalid(const float* radiance, std::size_t n, ThreadPool& threads) const {
         std::atomic<std::size_t> found{0};
-        threads.ranges(n, 65536, [&](std::size_t first, std::size_t last) {
+        threads.ranges(n, 8192, [&](std::size_t first, std::size_t last) {
             if (all_valid(radiance + first * (3 + aovs), last - first)) return;
             std::size_t bad = 0;
             for (std::size_t i = first; i < last; ++i) bad += !valid(radiance + i * (3 + aovs));
