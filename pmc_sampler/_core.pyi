@@ -60,9 +60,26 @@ class Batch:
     @property
     def number(self) -> int: ...
 
+class Executor:
+    @property
+    def size(self) -> int: ...
+
+class Nanothread(Executor):
+    def __init__(
+        self, pool_size: int, pool_thread_id: int, task_submit_dep: int, task_wait_and_release: int
+    ) -> None: ...
+
 class Sampler:
     def __init__(
-        self, width: int, height: int, budget: Budget, config: Config, seed: int, aovs: int, threads: int, signed: bool
+        self,
+        width: int,
+        height: int,
+        budget: Budget,
+        config: Config,
+        seed: int,
+        aovs: int,
+        threads: int | Executor,
+        signed: bool,
     ) -> None: ...
     def ask(self) -> Batch: ...
     def tell(self, batch: Batch, radiance: NDArray[np.float32], /) -> None: ...

@@ -73,7 +73,8 @@ class Sampler:
     width, height: pixels, 1 to 65535 each.
     seed: 0 to 2^64 - 1.
     aovs: channels after RGB that are averaged along, at most 64.
-    threads: of the sampler's own work; None for one on each processor.
+    threads: of the sampler's own work; None for one on each processor. Or those of a renderer, its attribute `threads`:
+        where they spin as they wait for its next batch, others beside them would have to wait.
     note: an attribute, a dictionary that JSON can hold: what the caller wants kept in checkpoints.
     signed: whether radiance may be negative, as a single sample of a spectral renderer is where its colour lies outside
         the gamut of RGB.
@@ -92,7 +93,7 @@ class Sampler:
         config: Config | None = None,
         seed: int = 0,
         aovs: int = 0,
-        threads: int | None = None,
+        threads: int | _core.Executor | None = None,
         signed: bool = False,
     ) -> None:
         if not isinstance(budget, Budget):
@@ -116,7 +117,7 @@ class Sampler:
                 config._native(),
                 self.seed,
                 self.aovs,
-                0 if threads is None else _whole("threads", threads, 1, 1024),
+                _threads(threads),
                 self.signed,
             )
         except MemoryError:
@@ -266,7 +267,7 @@ class Sampler:
         checkpoint.write(Path(path), header, self._native.save())
 
     @classmethod
-    def load(cls, path: str | Path, threads: int | None = None) -> Sampler:
+    def load(cls, path: str | Path, threads: int | _core.Executor | None = None) -> Sampler:
         """The sampler that `save` wrote: it goes on to the same bits. Batches that were open are asked again.
 
         Raises FileNotFoundError, or ValueError for a file that is damaged, of another version or no checkpoint.
@@ -317,9 +318,10 @@ def render(
 def sampler_for(
     radiance: Radiance, width: int, height: int, budget: Budget, config: Config | None = None, seed: int = 0
 ) -> Sampler:
-    """A sampler for what a renderer says of itself: its extra channels (`aovs`), and whether it is `signed`."""
+    """A sampler for what a renderer says of itself: its extra channels (`aovs`), its `threads`, whether it is `signed`."""
     aovs, signed = getattr(radiance, "aovs", 0), getattr(radiance, "signed", False)
-    return Sampler(width, height, budget, config, seed, aovs=aovs, signed=signed)
+    threads = getattr(radiance, "threads", None)
+    return Sampler(width, height, budget, config, seed, aovs=aovs, threads=threads, signed=signed)
 
 
 def config_for(radiance: Radiance, settings: Mapping[str, Any]) -> Config:
@@ -359,6 +361,12 @@ def _check_film(header: Mapping[str, Any], stored: int) -> None:
     need = sides[0] * sides[1] * (_core.film_bytes_per_pixel + 8 * _whole("aovs", header["aovs"], 0, 64))
     if need > stored:
         raise ValueError(f"an image of {sides[0]}x{sides[1]} takes {need} bytes of film, and it holds {stored}")
+
+
+def _threads(threads: int | _core.Executor | None) -> int | _core.Executor:
+    if isinstance(threads, _core.Executor):
+        return threads
+    return 0 if threads is None else _whole("threads", threads, 1, 1024)
 
 
 def _whole(name: str, value: Any, low: int, high: int) -> int:

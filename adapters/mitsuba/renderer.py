@@ -9,8 +9,10 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from pmc_sampler import _core
+
 from ..inputs import samples_of
-from . import blocks, loading, variants
+from . import blocks, loading, threads, variants
 from .rays import Evaluator
 from .samplers import KINDS
 
@@ -105,6 +107,11 @@ class MitsubaRenderer:
     def version(cls) -> str:
         """Mitsuba's version."""
         return str(mi.__version__)
+
+    @property
+    def threads(self) -> _core.Executor | None:
+        """Dr.Jit's threads, for the sampler's own work, in an `llvm` variant; None for the sampler's own."""
+        return threads.executor() if self.variant.startswith("llvm") else None
 
     @property
     def signed(self) -> bool:

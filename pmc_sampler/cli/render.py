@@ -134,7 +134,7 @@ def _job(options: argparse.Namespace, output: Output, resources: ExitStack) -> J
     path = options.checkpoint if chosen else output.exr.with_name(f"{output.exr.name}.checkpoint")
     checkpoint = Checkpoint(path, identity, chosen, options.checkpoint_every)
     checkpoint.check_writable()
-    resumed = checkpoint.resume()
+    resumed = checkpoint.resume(radiance)
     if resumed is not None:
         return Job(radiance, trace, resumed, checkpoint, NOT_YET | checkpoint.seconds)
     try:

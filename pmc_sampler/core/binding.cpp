@@ -3,10 +3,14 @@
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/shared_ptr.h>
 #include <nanobind/stl/string.h>
+#include <nanobind/stl/variant.h>
 #include <nanobind/stl/vector.h>
 
 #include <mutex>
+#include <type_traits>
+#include <variant>
 
+#include "nanothread.hpp"
 #include "pmc.hpp"
 
 namespace nb = nanobind;
@@ -136,8 +140,26 @@ NB_MODULE(_core, m) {
                               view(b, b->index.data()), view(b, b->scramble.data()));
     });
 
+    nb::class_<pmc::Executor>(m, "Executor").def_prop_ro("size", &pmc::Executor::size);
+    nb::class_<pmc::Nanothread, pmc::Executor>(m, "Nanothread")
+        .def("__init__",
+             [](pmc::Nanothread* self, std::uintptr_t pool_size, std::uintptr_t pool_thread_id, std::uintptr_t task_submit_dep, std::uintptr_t task_wait_and_release) {
+                 pmc::Nanothread::Functions functions;
+                 const auto set = [](auto& function, std::uintptr_t address) { function = reinterpret_cast<std::decay_t<decltype(function)>>(address); };
+                 set(functions.pool_size, pool_size);
+                 set(functions.pool_thread_id, pool_thread_id);
+                 set(functions.task_submit_dep, task_submit_dep);
+                 set(functions.task_wait_and_release, task_wait_and_release);
+                 new (self) pmc::Nanothread(functions);
+             },
+             "pool_size"_a, "pool_thread_id"_a, "task_submit_dep"_a, "task_wait_and_release"_a);
+
     nb::class_<Sampler>(m, "Sampler")
-        .def(nb::init<std::uint32_t, std::uint32_t, const pmc::Budget&, const pmc::Config&, std::uint64_t, std::uint32_t, unsigned, bool>(),
+        .def("__init__",
+             [](Sampler* self, std::uint32_t width, std::uint32_t height, const pmc::Budget& budget, const pmc::Config& config, std::uint64_t seed, std::uint32_t aovs,
+                std::variant<unsigned, std::shared_ptr<pmc::Executor>> threads, bool is_signed) {
+                 new (self) Sampler(width, height, budget, config, seed, aovs, std::visit([](auto& t) { return pmc::Threads(t); }, threads), is_signed);
+             },
              "width"_a, "height"_a, "budget"_a, "config"_a, "seed"_a, "aovs"_a, "threads"_a, "signed"_a)
         .def("ask", [](Sampler& s) { return s.alone([&] { return std::const_pointer_cast<pmc::Batch>(s.ask()); }); })
         .def("tell",

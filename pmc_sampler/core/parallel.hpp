@@ -4,21 +4,58 @@
 
 #include <algorithm>
 #include <atomic>
+#include <cfenv>
 #include <chrono>
 #include <cstdint>
 #include <exception>
 #include <functional>
 #include <limits>
+#include <memory>
 #include <mutex>
 #include <thread>
 #include <vector>
 
 namespace pmc {
 
+// Threads of somebody else, such as a renderer's: those that wait for its next work, spinning, would stand in the way of ours.
+class Executor {
+public:
+    virtual ~Executor() = default;
+    virtual unsigned size() const = 0;  // threads, the caller's included
+    // Makes `calls` calls of task(thread, data), at once as far as there are threads, and returns when all are done; `thread` tells those
+    // that make them apart, below size() if it can.
+    virtual void run(unsigned calls, void (*task)(unsigned thread, void* data), void* data) = 0;
+};
+
+// How many threads of its own a pool is to have, the caller's included, 0 for one on each processor; or whose it is to use.
+struct Threads {
+    Threads(unsigned count = 0) : count(count) {}
+    Threads(std::shared_ptr<Executor> executor) : executor(std::move(executor)) {}
+
+    unsigned count = 0;
+    std::shared_ptr<Executor> executor;
+};
+
+// The usual state of floating-point arithmetic as long as one lives: others' threads may treat denormal numbers as zeros.
+class UsualArithmetic {
+public:
+    UsualArithmetic() {
+        std::fegetenv(&before_);
+        std::fesetenv(FE_DFL_ENV);
+    }
+    ~UsualArithmetic() { std::fesetenv(&before_); }
+    UsualArithmetic(const UsualArithmetic&) = delete;
+    UsualArithmetic& operator=(const UsualArithmetic&) = delete;
+
+private:
+    std::fenv_t before_;
+};
+
 class ThreadPool {
 public:
-    // threads counts the caller too; 0 means one for each processor.
-    explicit ThreadPool(unsigned threads = 0) : size_(threads ? threads : std::max(1u, std::thread::hardware_concurrency())), shares_(size_) {}
+    explicit ThreadPool(Threads threads = {})
+        : executor_(std::move(threads.executor)),
+          size_(std::max(1u, executor_ ? executor_->size() : threads.count ? threads.count : std::thread::hardware_concurrency())), shares_(size_) {}
     ~ThreadPool() {
         stop_ = true;
         wake();
@@ -52,21 +89,16 @@ public:
             for (std::size_t i = 0; i < count; ++i) task(i);
             return;
         }
-        // Threads start with the first work for them: a sampler that is only asked about its settings has none.
-        while (workers_.size() + 1 < size_) workers_.emplace_back([this, thread = static_cast<unsigned>(workers_.size()) + 1] { work(thread); });
         const std::function<void(std::size_t)> function = [&task](std::size_t i) { task(i); };
         error_ = nullptr;
         for (unsigned t = 0; t < size_; ++t) {
             shares_[t].next = count * t / size_;
             shares_[t].end = count * (t + 1) / size_;
         }
-        ++runs_;
-        task_ = &function;
-        if (awake_until_ != std::numeric_limits<Clock::rep>::max()) wake();
-        drain(function, 0);
-        task_ = nullptr;  // whoever comes only now is not waited for
-        for (unsigned busy; (busy = busy_) != 0;)
-            if (!spin([this] { return busy_ == 0; })) busy_.wait(busy);
+        if (executor_)
+            run_by_executor(function);
+        else
+            run_by_workers(function);
         if (error_) std::rethrow_exception(error_);
     }
 
@@ -80,6 +112,28 @@ public:
 private:
     using Clock = std::chrono::steady_clock;
 
+    void run_by_executor(const std::function<void(std::size_t)>& function) {
+        struct Job {
+            ThreadPool& pool;
+            const std::function<void(std::size_t)>& function;
+        } job{*this, function};
+        executor_->run(size_, [](unsigned thread, void* data) {
+            const UsualArithmetic usual;
+            const auto& job = *static_cast<Job*>(data);
+            job.pool.drain(job.function, thread);
+        }, &job);
+    }
+    void run_by_workers(const std::function<void(std::size_t)>& function) {
+        // Threads start with the first work for them: a sampler that is only asked about its settings has none.
+        while (workers_.size() + 1 < size_) workers_.emplace_back([this, thread = static_cast<unsigned>(workers_.size()) + 1] { work(thread); });
+        ++runs_;
+        task_ = &function;
+        if (awake_until_ != std::numeric_limits<Clock::rep>::max()) wake();
+        drain(function, 0);
+        task_ = nullptr;  // whoever comes only now is not waited for
+        for (unsigned busy; (busy = busy_) != 0;)
+            if (!spin([this] { return busy_ == 0; })) busy_.wait(busy);
+    }
     // Begins with what is the thread's own.
     void drain(const std::function<void(std::size_t)>& task, unsigned thread) {
         for (unsigned k = 0; k < size_; ++k) {
@@ -138,6 +192,7 @@ private:
         std::size_t end = 0;
     };
 
+    std::shared_ptr<Executor> executor_;
     unsigned size_;
     std::vector<Share> shares_;
     std::vector<std::thread> workers_;

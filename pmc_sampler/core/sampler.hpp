@@ -33,8 +33,8 @@ public:
     // aovs: channels after RGB that are averaged along. threads: 0 for one on each processor; the image does not depend on it.
     // is_signed: radiance may be negative.
     Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& settings = {}, std::uint64_t seed = 0,
-            std::uint32_t aovs = 0, unsigned threads = 0, bool is_signed = false)
-        : config(settings.resolved(width, height)), budget(checked(budget)), seed(seed), threads_(threads),
+            std::uint32_t aovs = 0, Threads threads = {}, bool is_signed = false)
+        : config(settings.resolved(width, height)), budget(checked(budget)), seed(seed), threads_(std::move(threads)),
           film_(width, height, config, aovs, is_signed), pool_(film_.tiling, key(seed)), placement_(film_.tiling, hash32(key(seed))),
           memory_(film_.tiling, config.kernels(), config.alpha_memory), arranger_(film_.tiling, Sequences(key(seed)), config.filter, config.filter_radius),
           populations_(std::size_t(config.lookahead) + 1), id_(next_id().fetch_add(1)) {
