@@ -179,7 +179,7 @@ NB_MODULE(_core, m) {
         })
         .def_prop_ro("elapsed", [](Sampler& s) { return s.alone([&] { return s.elapsed(); }); })
         .def("add_elapsed", [](Sampler& s, double seconds) { s.alone([&] { s.add_elapsed(seconds); }); })
-        .def("visible_noise", [](Sampler& s) { return s.alone([&] { return s.film().visible_noise(s.threads()); }); })
+        .def("visible_noise", [](Sampler& s) { return s.alone([&] { return pmc::visible_noise(s.film(), s.threads()); }); })
         .def("mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::corrected_mean(f, s.config, o, s.threads()); }); })
         .def("plain_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::plain_mean(f, o, s.threads()); }); })
         .def("pool_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::pool_mean(f, s.config, o, s.threads()); }); })

@@ -15,9 +15,9 @@
 #include "memory.hpp"
 #include "multiversion.hpp"
 #include "parallel.hpp"
-#include "perception.hpp"
 #include "pixel_sums.hpp"
 #include "rounding.hpp"
+#include "score.hpp"
 #include "smoother.hpp"
 #include "tile_weights.hpp"
 #include "tiling.hpp"
@@ -31,27 +31,12 @@ PMC_MULTIVERSION inline bool all_within(const float* values, std::size_t n, floa
     return !outside;
 }
 
-// What beta owes to a pixel's samples other than their number: var / tvi^2, or the paper's var / tvi, of their luminance.
-// Bounded, so that sums and powers of it stay finite.
-template <Beta rule>
-[[gnu::always_inline]] inline float scored(double variance, double mean, const InverseSquareTvi& tvi, double white) {
-    const double inverse_square = tvi(static_cast<float>(mean * white));
-    const double value = rule == Beta::gain ? variance * white * white * inverse_square : variance * white * std::sqrt(inverse_square);
-    return static_cast<float>(std::min(value, 1e18));
-}
-PMC_MULTIVERSION inline void scores_gain(const Moments& m, const InverseSquareTvi& tvi, double white, float* scores) {
-    for (std::size_t i = 0; i < m.size; ++i) scores[i] = scored<Beta::gain>(m.variance[i], m.mean[i], tvi, white);
-}
-PMC_MULTIVERSION inline void scores_variance(const Moments& m, const InverseSquareTvi& tvi, double white, float* scores) {
-    for (std::size_t i = 0; i < m.size; ++i) scores[i] = scored<Beta::variance>(m.variance[i], m.mean[i], tvi, white);
-}
-
 class Film {
 public:
     // is_signed: radiance may be negative, as single samples of a spectral renderer are outside the gamut of RGB.
     Film(std::uint32_t width, std::uint32_t height, const Config& config, std::uint32_t aovs, bool is_signed = false)
         : tiling(width, height), sums(tiling.slots()), pool_mean(tiling.slots()), pool_m2(config.is_unbiased() ? tiling.slots() : 0), strategy(tiling.slots()), drawn(tiling.slots()),
-          aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score_(tiling.slots()), tiles_(tiling.tiles()), white_(config.white_luminance),
+          aov_sums(tiling.slots() * aovs), aovs(aovs), is_signed(is_signed), score(config.beta, config.white_luminance), scores_(tiling.slots()), tiles_(tiling.tiles()),
           rule_(config.beta), power_(config.beta_power), uniform_(config.is_uniform()), unbiased_(config.is_unbiased()), live_(!uniform_ && !unbiased_ && config.adapt_beta_every == 1) {}
 
     // Adds a batch; radiance holds 3 + aovs floats a sample. Samples that are not valid() are left out, and their number returned;
@@ -89,7 +74,7 @@ public:
     void adapt_beta(ThreadPool& threads) {
         threads.ranges(tiling.tiles(), 16, [&](std::size_t first, std::size_t last) {
             for (std::size_t tile = first; tile < last; ++tile) {
-                for (std::size_t s = tile * Tiling::area; s < (tile + 1) * Tiling::area; ++s) score_[s] = score(sums[s]);
+                for (std::size_t s = tile * Tiling::area; s < (tile + 1) * Tiling::area; ++s) scores_[s] = score(sums[s].variance(), sums[s].mean());
                 tiles_[tile].stale = true;
             }
         });
@@ -122,12 +107,12 @@ public:
             over(1 - colour, [&](std::size_t i, std::size_t slot) {
                 const std::uint32_t n = sums[slot].n_pool;
                 const auto& mean = pool_mean[slot];
-                if (n > 1) image[i] = std::sqrt(score_at(pool_m2[slot] * reciprocal(n - 1), luminance(mean.get(0), mean.get(1), mean.get(2))));
+                if (n > 1) image[i] = std::sqrt(score(pool_m2[slot] * reciprocal(n - 1), luminance(mean.get(0), mean.get(1), mean.get(2))));
             });
             smooth(image, threads);
             over(colour, [&](std::size_t i, std::size_t slot) {
                 const float s = guide_share_[i] > 0.0f ? image[i] / guide_share_[i] : 0.0f;
-                score_[slot] = s * s;
+                scores_[slot] = s * s;
             });
         }
     }
@@ -140,7 +125,7 @@ public:
     // beta as the sampler sees it (Config::beta), not normalised.
     float beta(std::size_t slot) const {
         const PixelSums& p = sums[slot];
-        const double value = uniform_ ? score(p) : score_[slot];
+        const double value = uniform_ ? score(p.variance(), p.mean()) : scores_[slot];
         return static_cast<float>(rule_ == Beta::gain && p.n ? value / (double(p.n) * p.n) : value);
     }
 
@@ -149,7 +134,7 @@ public:
     // own count of its samples.
     void weights(std::uint32_t tile, TileWeights& w) const {
         const std::size_t first = std::size_t(tile) * Tiling::area;
-        weigh_pixels(score_.data() + first, drawn.data() + first, tiles_[tile].passes, rule_ == Beta::gain, power_ == 2.0, w);
+        weigh_pixels(scores_.data() + first, drawn.data() + first, tiles_[tile].passes, rule_ == Beta::gain, power_ == 2.0, w);
         if (power_ != 1.0 && power_ != 2.0)
             for (float& v : w.pixel) v = v > 0.0f ? static_cast<float>(std::pow(double(v), power_)) : 0.0f;
         if (unbiased_)  // some weight for each, so that the other colour has no say in whether there is any
@@ -175,59 +160,7 @@ public:
     double tile_crowding(std::size_t tile) const { return tiles_[tile].crowding; }
     void touch(std::size_t tile) { tiles_[tile].stale |= !uniform_ && (live_ || rule_ == Beta::gain); }
 
-    // Share of pixels that are not settled. A pixel is, once it has two samples, where the 90 % interval of its luminance is
-    // within tvi by the variance of its own samples, and by that of all samples `reach` pixels around it, each in units of its
-    // own pixel's tvi. The latter is for bright paths so rare that most pixels have met none yet: these have next to no variance
-    // of their own, and a mean that lacks what the paths bring.
-    double visible_noise(ThreadPool& threads) const {
-        const std::int64_t width = tiling.width, height = tiling.height;
-        struct Pooled {
-            float squares, freedom;  // sum of squared deviations over tvi^2, degrees of freedom
-        };
-        std::vector<Pooled> along(tiling.pixels());  // sums over 2 * reach + 1 pixels of a row
-        threads.ranges(tiling.height, 4, [&](std::size_t first, std::size_t last) {
-            std::vector<Pooled> row(tiling.width);
-            for (std::size_t y = first; y < last; ++y) {
-                for (std::int64_t x = 0; x < width; ++x) {
-                    const PixelSums& p = sums[tiling.slot(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y))];
-                    const float freedom = p.n > 1 ? static_cast<float>(p.n - 1) : 0.0f;
-                    row[x] = {freedom * score_of<Beta::gain>(p), freedom};
-                }
-                for (std::int64_t x = 0; x < width; ++x) {
-                    Pooled& to = along[y * tiling.width + x];
-                    to = {0.0f, 0.0f};
-                    for (std::int64_t i = std::max<std::int64_t>(x - reach, 0); i <= std::min(x + reach, width - 1); ++i) {
-                        to.squares += row[i].squares;
-                        to.freedom += row[i].freedom;
-                    }
-                }
-            }
-        });
-        std::atomic<std::uint64_t> settled{0};
-        threads.ranges(tiling.height, 4, [&](std::size_t first, std::size_t last) {
-            std::uint64_t count = 0;
-            for (std::size_t y = first; y < last; ++y) {
-                const std::int64_t low = std::max<std::int64_t>(std::int64_t(y) - reach, 0), high = std::min<std::int64_t>(std::int64_t(y) + reach, height - 1);
-                for (std::int64_t x = 0; x < width; ++x) {
-                    const PixelSums& p = sums[tiling.slot(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y))];
-                    const float n = static_cast<float>(p.n);
-                    if (p.n < 2 || interval * score_of<Beta::gain>(p) > n) continue;
-                    Pooled around{0.0f, 0.0f};
-                    for (std::int64_t i = low; i <= high; ++i) {
-                        around.squares += along[i * width + x].squares;
-                        around.freedom += along[i * width + x].freedom;
-                    }
-                    count += interval * around.squares <= around.freedom * n;
-                }
-            }
-            settled += count;
-        });
-        return 1.0 - static_cast<double>(settled) / static_cast<double>(tiling.pixels());
-    }
-
-    static constexpr float interval = 1.645f * 1.645f;  // standard errors, squared, that 90 % of a normal distribution lie within
     static constexpr double guide_sigma = 2.0;  // pixels
-    static constexpr std::int64_t reach = 3;  // pixels; with less, single rare paths go unnoticed (docs/reliability.md, Budgets)
     static constexpr std::size_t bytes_per_pixel =
         sizeof(PixelSums) + sizeof(Reals40<3>) + sizeof(std::uint16_t[3]) + sizeof(std::uint32_t) + sizeof(float);
 
@@ -274,6 +207,7 @@ public:
     std::uint32_t aovs;
     bool is_signed;
     std::uint64_t samples = 0;
+    const Score score;
 
     template <class Archive>
     void archive(Archive& a) {
@@ -282,7 +216,7 @@ public:
         a.array("film.pool_m2", pool_m2);
         a.array("film.strategy", strategy);
         a.array("film.drawn", drawn);
-        a.array("film.score", score_);
+        a.array("film.score", scores_);
         a.array("film.tiles", tiles_);
         a.array("film.aov_sums", aov_sums);
         a.value("film.samples", samples);
@@ -294,8 +228,8 @@ private:
     // Whether what is drawn from is finite and not negative.
     bool steers() const {
         const auto sound = [](double value) { return value >= 0.0 && value <= std::numeric_limits<float>::max(); };
-        for (std::size_t i = 0; i < score_.size(); ++i)
-            if (!sound(score_[i])) return false;
+        for (std::size_t i = 0; i < scores_.size(); ++i)
+            if (!sound(scores_[i])) return false;
         for (std::size_t t = 0; t < tiles_.size(); ++t)
             if (!(tiles_[t].weight >= 0.0 && std::isfinite(tiles_[t].weight) && tiles_[t].crowding >= 0.0 && sound(tiles_[t].passes))) return false;
         return true;
@@ -323,10 +257,9 @@ private:
             for (std::size_t i = aovs ? first : last; i < last; ++i)
                 for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[std::size_t(told.slot[i]) * aovs + c] += told.radiance[i * told.stride + 3 + c];
             if (!live_) continue;
-            if (rule_ == Beta::gain) scores_gain(moments, inverse_square_tvi_, white_, scores);
-            else scores_variance(moments, inverse_square_tvi_, white_, scores);
+            score(moments, scores);
             for (std::size_t i = 0; i < moments.size; ++i) {
-                score_[moments.slot[i]] = scores[i];
+                scores_[moments.slot[i]] = scores[i];
                 tiles_[moments.slot[i] / Tiling::area].stale = true;
             }
         }
@@ -338,15 +271,6 @@ private:
         ++counts[kernel];
     }
 
-    template <Beta rule>
-    float score_of(const PixelSums& p) const {
-        return p.n < 2 ? 0.0f : scored<rule>(p.m2.get(3) * reciprocal(p.n - 1), luminance(p.sum[0], p.sum[1], p.sum[2]) * reciprocal(p.n), inverse_square_tvi_, white_);
-    }
-    float score_at(double variance, double mean) const {
-        return rule_ == Beta::gain ? scored<Beta::gain>(variance, mean, inverse_square_tvi_, white_) : scored<Beta::variance>(variance, mean, inverse_square_tvi_, white_);
-    }
-    float score(const PixelSums& p) const { return rule_ == Beta::gain ? score_of<Beta::gain>(p) : score_of<Beta::variance>(p); }
-
     struct Tile {
         double weight;    // sum of weights() over the tile
         double crowding;  // sum of their squares over the pixels' numbers of samples
@@ -354,15 +278,13 @@ private:
         bool stale;       // the sums are older than what they are sums of
     };
 
-    Zeroed<float> score_;
+    Zeroed<float> scores_;  // what beta owes to each pixel's samples other than their number
     Zeroed<Tile> tiles_;
-    double white_;
     Beta rule_;
     double power_;
     bool uniform_, unbiased_, live_;
     std::uint32_t colour_ = 0;
     std::vector<float> guide_share_;
-    InverseSquareTvi inverse_square_tvi_;
 };
 
 }  // namespace pmc

@@ -15,17 +15,6 @@
 
 namespace pmc {
 
-// One cache line.
-struct PixelSums {
-    double sum[3];            // of radiance, all samples
-    Reals40<4> m2;            // sums of squared deviations from the mean: red, green, blue, luminance
-    float half_mean[3];       // mean radiance of every other sample
-    std::uint32_t n, n_pool;  // samples, and those of them from the pool
-
-    std::uint32_t n_half() const { return n / 2 + n % 2; }
-};
-static_assert(sizeof(PixelSums) == 64);
-
 inline constexpr std::array<double, 1024> reciprocals = [] {
     std::array<double, 1024> table{};
     for (int i = 1; i < 1024; ++i) table[i] = 1.0 / i;
@@ -35,8 +24,21 @@ inline constexpr std::array<double, 1024> reciprocals = [] {
 // Divisions by small counts are the dearest part of a sample; these are looked up. 0 for 0.
 [[gnu::always_inline]] inline double reciprocal(std::uint32_t n) { return n < reciprocals.size() ? reciprocals[n] : 1.0 / n; }
 
-[[gnu::always_inline]] inline Quad quad(const float* rgb) { return Quad{rgb[0], rgb[1], rgb[2], 0.0}; }
-[[gnu::always_inline]] inline double of_luminance(Quad rgb) {
+// One cache line.
+struct PixelSums {
+    double sum[3];            // of radiance, all samples
+    Reals40<4> m2;            // sums of squared deviations from the mean: red, green, blue, luminance
+    float half_mean[3];       // mean radiance of every other sample
+    std::uint32_t n, n_pool;  // samples, and those of them from the pool
+
+    std::uint32_t n_half() const { return n / 2 + n % 2; }
+    // Of luminance; 0 where there are too few samples to tell.
+    double variance() const { return n < 2 ? 0.0 : m2.get(3) * reciprocal(n - 1); }
+    double mean() const { return luminance(sum[0], sum[1], sum[2]) * reciprocal(n); }
+};
+static_assert(sizeof(PixelSums) == 64);
+
+[[gnu::always_inline]] inline double of_luminance(const Quad& rgb) {
     const Quad parts = rgb * Quad{0.2126, 0.7152, 0.0722, 0.0};
     return parts[0] + parts[1] + parts[2];
 }
@@ -47,11 +49,15 @@ inline constexpr std::array<double, 1024> reciprocals = [] {
 // four numbers at once. Inlined by force, to be compiled for the instruction set of whoever calls it.
 class RunningSums {
 public:
-    [[gnu::always_inline]] explicit RunningSums(const PixelSums& p)
-        : n(p.n), sum_{p.sum[0], p.sum[1], p.sum[2], 0.0}, m2_(p.m2.get()), half_(quad(p.half_mean)), next_(reciprocal(n)) {}
+    [[gnu::always_inline]] explicit RunningSums(const PixelSums& p) : n(p.n), next_(reciprocal(n)) {
+        const Quad sum = {p.sum[0], p.sum[1], p.sum[2], 0.0}, half = {p.half_mean[0], p.half_mean[1], p.half_mean[2], 0.0};
+        sum_ = sum;
+        half_ = half;
+        p.m2.get(m2_);
+    }
 
     [[gnu::always_inline]] void add(const float* rgb) {
-        const Quad x = quad(rgb);
+        const Quad x = {rgb[0], rgb[1], rgb[2], 0.0};
         const double count = n;
         inverse_ = next_;
         next_ = reciprocal(n + 1);
@@ -78,7 +84,7 @@ public:
     std::uint32_t n;
 
 private:
-    Quad sum_, m2_, half_;
+    Quad sum_ = {}, half_ = {}, m2_ = {};
     double inverse_ = 0.0, next_;  // of the number of samples but one, and of the number of samples
 };
 
@@ -147,8 +153,10 @@ PMC_MULTIVERSION inline void add_to_pool(const PixelSums* sums, Reals40<3>* mean
         std::uint32_t n = sums[slot].n_pool;  // with this sample, but without those that follow
         for (std::size_t later = i + 1; later < last && told.slot[later] == slot; ++later) n -= (told.tag[later] & Tag::pool) != 0;
         const double weight = reciprocal(n);
-        Quad mean = means[slot].get();
-        const Quad deviation = quad(told.radiance + i * told.stride) - mean;
+        const float* rgb = told.radiance + i * told.stride;
+        Quad mean;
+        means[slot].get(mean);
+        const Quad deviation = Quad{rgb[0], rgb[1], rgb[2], 0.0} - mean;
         if (m2) {
             const double d = of_luminance(deviation);
             // Never infinite: what it is multiplied by may be 0.

@@ -11,11 +11,6 @@
 #include <cstdint>
 #include <limits>
 
-// Vectors are handed from function to function here, but never past one that is inlined: how that would be done does not matter.
-#if defined(__GNUC__) && !defined(__clang__)
-#pragma GCC diagnostic ignored "-Wpsabi"
-#endif
-
 namespace pmc {
 
 // 32 bits that decide how values are rounded after n samples.
@@ -38,17 +33,17 @@ class Reals40 {
 public:
     double get(int i) const { return std::bit_cast<double>(std::uint64_t(high_[i]) << 32 | ((low_ << 8 * i) & 0xff000000u)); }
 
-    // Beyond the N-th there is 0, and nothing is taken.
-    [[gnu::always_inline]] Quad get() const {
+    // Beyond the N-th there is 0, and nothing is taken. (No function returns a vector: how is another matter on every processor.)
+    [[gnu::always_inline]] void get(Quad& values) const {
         Words high = {}, low = {};
         for (int i = 0; i < N; ++i) {
             high[i] = high_[i];
             low[i] = low_;
         }
-        return std::bit_cast<Quad>(high << 32 | ((low << places) & 0xff000000u));
+        values = reinterpret_cast<Quad>(high << 32 | ((low << places) & 0xff000000u));
     }
-    [[gnu::always_inline]] void set(Quad values, std::uint32_t dither) {
-        const Words bits = std::bit_cast<Words>(values) + (dither >> 8), low = (bits & 0xff000000u) >> places;
+    [[gnu::always_inline]] void set(const Quad& values, std::uint32_t dither) {
+        const Words bits = reinterpret_cast<Words>(values) + (dither >> 8), low = (bits & 0xff000000u) >> places;
         for (int i = 0; i < N; ++i) high_[i] = static_cast<std::uint32_t>(bits[i] >> 32);
         const Pair even = {low[0], low[1]}, odd = {low[2], N > 3 ? low[3] : 0}, both = even | odd;
         low_ = static_cast<std::uint32_t>(both[0] | both[1]);

@@ -23,6 +23,7 @@
 #include "pool.hpp"
 #include "population.hpp"
 #include "systematic.hpp"
+#include "visible_noise.hpp"
 
 namespace pmc {
 
@@ -213,7 +214,7 @@ private:
         }
         if (!first_told_) first_told_ = {film_.samples, elapsed()};
         if (!config.is_uniform() && config.adapt_beta_every > 1 && told_ % config.adapt_beta_every == 0) film_.adapt_beta(threads_);
-        if (done_ == Done::no && budget.visible_noise >= 0.0 && film_.samples + rejected_ >= initial_ && film_.visible_noise(threads_) <= budget.visible_noise)
+        if (done_ == Done::no && budget.visible_noise >= 0.0 && film_.samples + rejected_ >= initial_ && pmc::visible_noise(film_, threads_) <= budget.visible_noise)
             done_ = Done::visible_noise;
         if (done() != Done::no) batches_.end();
     }

@@ -101,7 +101,7 @@ void read_pictures(pmc::Sampler& sampler) {
     pmc::halves(film, image.data(), other.data(), sampler.threads()), finite(image), finite(other);
     pmc::standard_error(film, image.data(), sampler.threads());
     for (std::size_t slot = 0; slot < film.sums.size(); ++slot) require(film.beta(slot) >= 0.0f && std::isfinite(film.beta(slot)), "beta is finite");
-    const double noise = film.visible_noise(sampler.threads());
+    const double noise = pmc::visible_noise(film, sampler.threads());
     require(noise >= 0.0 && noise <= 1.0, "the visible noise is a share");
     std::uint64_t samples = 0;
     for (std::size_t slot = 0; slot < film.sums.size(); ++slot) samples += film.sums[slot].n;
