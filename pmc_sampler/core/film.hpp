@@ -251,8 +251,8 @@ private:
                 for (std::size_t i = 0; i < in_pool; ++i) __builtin_prefetch(&pool_mean[told.slot[of_pool[i]]], 1);
                 for (std::size_t i = 0; i < by_kernels; ++i) __builtin_prefetch(&strategy[told.slot[of_kernels[i]]], 1);
             }
-            add_to_sums(sums.data(), told, first, last, moments);
-            add_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, told, last, of_pool, in_pool);
+            add_to_sums(sums.data(), told, first, last, uniform_, moments);
+            add_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, told, of_pool, in_pool);
             for (std::size_t i = 0; i < by_kernels; ++i) count_strategy(strategy[told.slot[of_kernels[i]]], told.tag[of_kernels[i]]);
             for (std::size_t i = aovs ? first : last; i < last; ++i)
                 for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[std::size_t(told.slot[i]) * aovs + c] += told.radiance[i * told.stride + 3 + c];

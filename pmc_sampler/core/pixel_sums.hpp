@@ -115,12 +115,11 @@ struct Moments {
     std::size_t size = 0;
 };
 
-// Adds samples [first, last), a block, and notes the moments of their pixels.
-PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std::size_t first, std::size_t last, Moments& moments) {
+// Adds samples [first, last), a block, and notes the moments of their pixels. all_of_pool: nobody else draws any.
+PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std::size_t first, std::size_t last, bool all_of_pool, Moments& moments) {
     // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
     constexpr std::size_t ahead = 32;
     const std::uint32_t* const slot = told.slot;
-    const std::uint8_t* const tag = told.tag;
     const std::size_t end = told.size - 1, stride = told.stride;
     const float* radiance = told.radiance + first * stride;
     std::size_t changed = 0;
@@ -128,15 +127,13 @@ PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std:
         const std::uint32_t at = slot[i];
         PixelSums& p = sums[at];
         RunningSums running(p);
-        std::uint32_t n_pool = p.n_pool;
         do {
             __builtin_prefetch(&sums[slot[std::min(i + ahead, end)]], 1);
             running.add(radiance);
-            n_pool += (tag[i] & Tag::pool) != 0;
             radiance += stride;
         } while (++i < last && slot[i] == at);
         running.store(p);
-        p.n_pool = n_pool;
+        if (all_of_pool) p.n_pool = p.n;
         moments.slot[changed] = at;
         moments.variance[changed] = running.variance();
         moments.mean[changed++] = running.mean();
@@ -144,14 +141,11 @@ PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std:
     moments.size = changed;
 }
 
-// Adds samples of the pool, `which`, to the means of the pool's own, once all until `last` are in the sums; and their squared deviations
-// of luminance to `m2`, if any.
-PMC_MULTIVERSION inline void add_to_pool(const PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, std::size_t last, const std::uint32_t* which, std::size_t count) {
+// Adds samples of the pool, `which`, to the means of the pool's own, and their squared deviations of luminance to `m2`, if any.
+PMC_MULTIVERSION inline void add_to_pool(PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, const std::uint32_t* which, std::size_t count) {
     for (std::size_t k = 0; k < count; ++k) {
         const std::size_t i = which[k];
-        const std::uint32_t slot = told.slot[i];
-        std::uint32_t n = sums[slot].n_pool;  // with this sample, but without those that follow
-        for (std::size_t later = i + 1; later < last && told.slot[later] == slot; ++later) n -= (told.tag[later] & Tag::pool) != 0;
+        const std::uint32_t slot = told.slot[i], n = ++sums[slot].n_pool;
         const double weight = reciprocal(n);
         const float* rgb = told.radiance + i * told.stride;
         Quad mean;

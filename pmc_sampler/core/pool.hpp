@@ -18,7 +18,7 @@ public:
     public:
         std::size_t size() const { return size_; }
 
-        // Calls emit(local, pass) for its pixels in a tile, pass by pass; `local`: the pixel's place in its tile.
+        // Calls emit(local, pass) for its pixels in a tile, a pixel's passes in turn; `local`: the pixel's place in its tile.
         template <class Emit>
         void in_tile(std::uint32_t tile, Emit&& emit) const {
             const bool at_border = tiling_.at_border(tile);
@@ -27,8 +27,9 @@ public:
             };
             std::uint32_t pass = 0, flip = flip_of(tile, pass);
             for (const Round& round : rounds_) {
-                if (round.whole_pass) {
-                    for (std::uint32_t local = 0; local < Tiling::area; ++local) one(local, round.pass);
+                if (round.passes > 0) {  // the samples of a pixel together
+                    for (std::uint32_t local = 0; local < Tiling::area; ++local)
+                        for (std::uint32_t k = 0; k < round.passes; ++k) one(local, round.pass + k);
                 } else if (some_[tile] & round.tiles) {
                     if (round.pass != pass) flip = flip_of(tile, pass = round.pass);
                     one(round.local ^ flip, pass);
@@ -41,17 +42,16 @@ public:
             if (tiling_.at_border(tile))
                 in_tile(tile, [&](std::uint32_t, std::uint32_t) { ++count; });
             else
-                for (const Round& round : rounds_) count += round.whole_pass ? Tiling::area : (some_[tile] & round.tiles) != 0;
+                for (const Round& round : rounds_) count += round.passes > 0 ? round.passes * Tiling::area : (some_[tile] & round.tiles) != 0;
             return count;
         }
 
     private:
         friend class Pool;
         enum Tiles : std::uint8_t { all = 1, of_first = 2, of_last = 4 };
-        struct Round {  // one place of a pass in each of its tiles, or a whole pass
-            std::uint32_t local, pass;
+        struct Round {  // one place of a pass in each of its tiles; or whole passes, from `pass` on
+            std::uint32_t local, pass, passes;
             Tiles tiles;
-            bool whole_pass;
         };
 
         Stretch(const Tiling& tiling, std::uint32_t seed) : tiling_(tiling), seed_(seed) {}
@@ -61,7 +61,7 @@ public:
         Tiling tiling_;
         std::uint32_t seed_;
         std::size_t size_ = 0;
-        std::vector<Round> rounds_;       // all of them with all tiles, but for the first and the last
+        std::vector<Round> rounds_;       // of all tiles, but for the first and the last
         std::vector<std::uint8_t> some_;  // which Tiles each tile is one of
     };
 
@@ -79,21 +79,22 @@ public:
         s.some_.assign(tiling_.tiles(), Stretch::all);
         while (count > 0) {
             if (cursor_ % tiling_.slots() == 0 && tiling_.pixels() <= count) {
-                s.rounds_.push_back({0, pass(), Stretch::all, true});
-                cursor_ += tiling_.slots();
-                count -= tiling_.pixels();
+                const std::size_t passes = count / tiling_.pixels();
+                s.rounds_.push_back({0, pass(), static_cast<std::uint32_t>(passes), Stretch::all});
+                cursor_ += passes * tiling_.slots();
+                count -= passes * tiling_.pixels();
                 continue;
             }
             const std::uint32_t local = in_tile(rank());
             std::size_t pixels = tiling_.tiles();
             for (const std::uint32_t tile : at_border_) pixels -= !tiling_.inside(tile * Tiling::area + (local ^ s.flip_of(tile, pass())));
             if (cursor_ % tiling_.tiles() == 0 && pixels <= count) {
-                s.rounds_.push_back({local, pass(), Stretch::all, false});
+                s.rounds_.push_back({local, pass(), 0, Stretch::all});
                 cursor_ += tiling_.tiles();
                 count -= pixels;
             } else {
                 const Stretch::Tiles tiles = s.rounds_.empty() ? Stretch::of_first : Stretch::of_last;
-                s.rounds_.push_back({local, pass(), tiles, false});
+                s.rounds_.push_back({local, pass(), 0, tiles});
                 walk(count, [&](std::uint32_t tile) { s.some_[tile] |= tiles; });
             }
         }

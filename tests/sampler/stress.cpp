@@ -108,13 +108,13 @@ void read_pictures(pmc::Sampler& sampler) {
     require(samples == sampler.samples(), "the samples of all pixels are those told");
 }
 
-// Tile by tile and pixel by pixel, each sample in its pixel or around it.
+// Tile by tile, each sample in its pixel or around it.
 void check_layout(const pmc::Batch& batch, const pmc::Sampler& sampler) {
     const pmc::Tiling& tiling = sampler.film().tiling;
     const double reach = sampler.config.filter_radius + 1e-2;
     for (std::size_t i = 0; i < batch.size(); ++i) {
         const std::uint32_t slot = batch.slot[i], x = tiling.x(slot), y = tiling.y(slot);
-        require(i == 0 || batch.slot[i - 1] <= slot, "a batch is sorted");
+        require(i == 0 || batch.slot[i - 1] / pmc::Tiling::area <= slot / pmc::Tiling::area, "a batch is sorted");
         require(x < tiling.width && y < tiling.height && batch.pixel[i] == y * tiling.width + x, "a slot is its pixel's");
         require(std::abs(batch.positions[i].x - (x + 0.5)) <= reach && std::abs(batch.positions[i].y - (y + 0.5)) <= reach, "a position is its pixel's");
     }

@@ -155,7 +155,7 @@ def test_filtered_positions_lie_within_the_radius(name: str, radius: float) -> N
 
 
 def test_batch_is_read_only_and_coherent() -> None:
-    """Samples of a 16x16 tile are together, and those of a pixel."""
+    """Samples of a 16x16 tile are together, and those of a pixel where whole passes are drawn."""
     batch = Sampler(64, 48, Budget(spp=8), Config.uniform(batch=2**31), seed=1).ask()
     for array in (batch.positions, batch.pixel, batch.index, batch.scramble):
         assert not array.flags.writeable
