@@ -237,31 +237,33 @@ private:
 
     void add_valid(const Told& told) {
         Moments moments;
-        float scores[Told::block];
-        std::uint32_t of_pool[Told::block], of_kernels[Told::block];
         for (std::size_t first = 0, last; first < told.size; first = last) {
             last = told.end_of_block(first);
-            std::size_t in_pool = 0, by_kernels = 0;
-            if (!uniform_) {
-                for (std::size_t i = first; i < last; ++i) {
-                    of_pool[in_pool] = of_kernels[by_kernels] = static_cast<std::uint32_t>(i);
-                    in_pool += (told.tag[i] & Tag::pool) != 0;
-                    by_kernels += (told.tag[i] & Tag::kernel_mask) != Tag::no_kernel;
+            if (uniform_) {
+                add_to_sums(sums.data(), told, first, last, true, moments);
+            } else {
+                const Origins origins(told, first, last);
+                for (std::size_t k = 0; k < origins.in_pool; ++k) __builtin_prefetch(&pool_mean[told.slot[origins.of_pool[k]]], 1);
+                for (std::size_t k = 0; k < origins.by_kernels; ++k) __builtin_prefetch(&strategy[told.slot[origins.of_kernels[k]]], 1);
+                add_to_sums(sums.data(), told, first, last, false, moments);
+                add_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, told, origins);
+                for (std::size_t k = 0; k < origins.by_kernels; ++k) {
+                    const std::size_t i = origins.of_kernels[k];
+                    count_strategy(strategy[told.slot[i]], told.tag[i] & Tag::kernel_mask);
                 }
-                for (std::size_t i = 0; i < in_pool; ++i) __builtin_prefetch(&pool_mean[told.slot[of_pool[i]]], 1);
-                for (std::size_t i = 0; i < by_kernels; ++i) __builtin_prefetch(&strategy[told.slot[of_kernels[i]]], 1);
+                if (live_) note_scores(moments);
             }
-            add_to_sums(sums.data(), told, first, last, uniform_, moments);
-            add_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, told, of_pool, in_pool);
-            for (std::size_t i = 0; i < by_kernels; ++i) count_strategy(strategy[told.slot[of_kernels[i]]], told.tag[of_kernels[i]]);
-            for (std::size_t i = aovs ? first : last; i < last; ++i)
+            for (std::size_t i = first; aovs && i < last; ++i)
                 for (std::uint32_t c = 0; c < aovs; ++c) aov_sums[std::size_t(told.slot[i]) * aovs + c] += told.radiance[i * told.stride + 3 + c];
-            if (!live_) continue;
-            score(moments, scores);
-            for (std::size_t i = 0; i < moments.size; ++i) {
-                scores_[moments.slot[i]] = scores[i];
-                tiles_[moments.slot[i] / Tiling::area].stale = true;
-            }
+        }
+    }
+
+    void note_scores(const Moments& moments) {
+        float scores[Told::block];
+        score(moments, scores);
+        for (std::size_t i = 0; i < moments.size; ++i) {
+            scores_[moments.slot[i]] = scores[i];
+            tiles_[moments.slot[i] / Tiling::area].stale = true;
         }
     }
 

@@ -49,7 +49,7 @@ public:
         const float t = static_cast<float>(offset & ((1 << shift) - 1)) * (1.0f / (1 << shift));
         const float between = values_[i] + t * (values_[i + 1] - values_[i]);
         // The curve is a straight line from 79 cd/m2 on, at 10^-1.255 of the luminance.
-        const float inverse = 17.988709f / L;
+        const float inverse = 17.988709f / std::max(L, 1.0f);
         return offset >> shift > entries - 2 ? inverse * inverse : between;
     }
 

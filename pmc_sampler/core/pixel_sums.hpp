@@ -108,6 +108,20 @@ struct Told {
     }
 };
 
+// Which samples of a block the pool drew, and which a kernel proposed.
+struct Origins {
+    std::uint32_t of_pool[Told::block], of_kernels[Told::block];
+    std::size_t in_pool = 0, by_kernels = 0;
+
+    Origins(const Told& told, std::size_t first, std::size_t last) {
+        for (std::size_t i = first; i < last; ++i) {
+            of_pool[in_pool] = of_kernels[by_kernels] = static_cast<std::uint32_t>(i);
+            in_pool += (told.tag[i] & Tag::pool) != 0;
+            by_kernels += (told.tag[i] & Tag::kernel_mask) != Tag::no_kernel;
+        }
+    }
+};
+
 // Moments of luminance of pixels.
 struct Moments {
     std::uint32_t slot[Told::block];
@@ -141,10 +155,10 @@ PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std:
     moments.size = changed;
 }
 
-// Adds samples of the pool, `which`, to the means of the pool's own, and their squared deviations of luminance to `m2`, if any.
-PMC_MULTIVERSION inline void add_to_pool(PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, const std::uint32_t* which, std::size_t count) {
-    for (std::size_t k = 0; k < count; ++k) {
-        const std::size_t i = which[k];
+// Adds the pool's samples to the means of the pool's own, and their squared deviations of luminance to `m2`, if any.
+PMC_MULTIVERSION inline void add_to_pool(PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, const Origins& origins) {
+    for (std::size_t k = 0; k < origins.in_pool; ++k) {
+        const std::size_t i = origins.of_pool[k];
         const std::uint32_t slot = told.slot[i], n = ++sums[slot].n_pool;
         const double weight = reciprocal(n);
         const float* rgb = told.radiance + i * told.stride;
