@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pmc_sampler import Budget, Config, Sampler, luminance, npz, scenes
-from pmc_sampler.sampler import sampler_for
+from pmc_sampler.sampler import sampler_for, threads_of
 
 SEED = 0x5EED_0000
 """Seed of the first replicate; measured runs use small seeds, so none shares a reference's samples."""
@@ -296,7 +296,7 @@ class _Replicates:
 
 def _sampler(inner: Path, radiance: Any, width: int, height: int, spp: int, seed: int) -> Sampler:
     if inner.is_file():
-        sampler = Sampler.load(inner, getattr(radiance, "threads", None))
+        sampler = Sampler.load(inner, threads_of(radiance, None))
         if sampler.seed == seed:
             return sampler
     return sampler_for(radiance, width, height, Budget(spp=spp), Config.uniform(), seed)

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pmc_sampler import Sampler
+from pmc_sampler import Sampler, _core
 
 from .errors import CommandError
 
@@ -45,15 +45,15 @@ class Checkpoint:
         except OSError as error:
             raise CommandError(f"no file can be written in {str(self.path.parent)!r}: {error.strerror}.") from error
 
-    def resume(self, radiance: Any) -> Sampler | None:
-        """The sampler as it was saved, for a renderer, or nothing where there is no checkpoint yet.
+    def resume(self, threads: _core.Executor | None) -> Sampler | None:
+        """The sampler as it was saved, to work on these threads, or nothing where there is no checkpoint yet.
 
         Raises :class:`CommandError` for a checkpoint of another render, and for a damaged one.
         """
         if not self.path.exists():
             return None
         try:
-            sampler = Sampler.load(self.path, getattr(radiance, "threads", None))
+            sampler = Sampler.load(self.path, threads)
             then, seconds = sampler.note["identity"], sampler.note["seconds"]
             self.seconds = {name: float(s) for name, s in seconds.items()}
             # What the state itself says goes before what was noted of it: that is what would be rendered.

@@ -13,7 +13,7 @@ from typing import Any
 
 from pmc_sampler import Sampler
 from pmc_sampler.deadline import Deadline
-from pmc_sampler.sampler import sampler_for
+from pmc_sampler.sampler import sampler_for, threads_of
 
 from . import settings
 from .arguments import NATIVE, renderer_for, scene_path
@@ -134,11 +134,11 @@ def _job(options: argparse.Namespace, output: Output, resources: ExitStack) -> J
     path = options.checkpoint if chosen else output.exr.with_name(f"{output.exr.name}.checkpoint")
     checkpoint = Checkpoint(path, identity, chosen, options.checkpoint_every)
     checkpoint.check_writable()
-    resumed = checkpoint.resume(radiance)
+    resumed = checkpoint.resume(threads_of(radiance, options.timeout))
     if resumed is not None:
         return Job(radiance, trace, resumed, checkpoint, NOT_YET | checkpoint.seconds)
     try:
-        sampler = sampler_for(radiance, radiance.width, radiance.height, budget, config, options.seed)
+        sampler = sampler_for(radiance, radiance.width, radiance.height, budget, config, options.seed, options.timeout)
     except (ValueError, TypeError, MemoryError) as error:
         raise CommandError(str(error)) from error
     return Job(radiance, trace, sampler, checkpoint)

@@ -5,12 +5,17 @@
 //   pieces rounding      numbers in 40 bits and in a float against their neighbours
 //   pieces perception    the table of 1 / tvi^2 against tvi
 #include <algorithm>
+#include <array>
 #include <atomic>
+#include <bit>
 #include <cfenv>
 #include <cfloat>
+#include <chrono>
 #include <cmath>
+#include <compare>
+#include <cstdint>
 #include <cstdio>
-#include <functional>
+#include <cstring>
 #include <limits>
 #include <memory>
 #include <random>
@@ -39,6 +44,7 @@ void require(bool holds, const char* what) {
     if (!holds) throw std::runtime_error(at + ": does not hold: " + what);
 }
 
+using Size = std::pair<std::uint32_t, std::uint32_t>;
 std::string size_of(std::uint32_t width, std::uint32_t height) { return std::to_string(width) + "x" + std::to_string(height); }
 
 // --- Pool ------------------------------------------------------------------------------------------------------------
@@ -57,7 +63,8 @@ std::vector<Visit> by_tile(const pmc::Pool::Stretch& stretch, const pmc::Tiling&
             visits.push_back({tile * pmc::Tiling::area + local, pass});
         });
         require(stretch.count(tile) == visits.size() - first, "a stretch counts what it has in a tile");
-        std::stable_sort(visits.begin() + static_cast<std::ptrdiff_t>(first), visits.end(), [](const Visit& a, const Visit& b) { return a.slot < b.slot; });
+        const auto by_slot = [](const Visit& a, const Visit& b) { return a.slot < b.slot; };
+        std::stable_sort(visits.begin() + static_cast<std::ptrdiff_t>(first), visits.end(), by_slot);
     }
     return visits;
 }
@@ -120,7 +127,7 @@ void follow_pool(std::uint32_t width, std::uint32_t height, int takes) {
 }
 
 void pool() {
-    const std::pair<std::uint32_t, std::uint32_t> sizes[] = {{1, 1}, {1, 9}, {13, 1}, {16, 16}, {33, 21}, {64, 48}, {100, 37}, {15, 16}, {17, 16}, {32, 16}, {48, 48}};
+    const Size sizes[] = {{1, 1}, {1, 9}, {13, 1}, {15, 16}, {16, 16}, {17, 16}, {32, 16}, {33, 21}, {48, 48}, {64, 48}, {100, 37}};
     for (const auto& [width, height] : sizes)
         for (int k = 0; k < 3; ++k) follow_pool(width, height, 30);
     for (int k = 0; k < 60; ++k) {
@@ -130,7 +137,7 @@ void pool() {
 }
 
 // --- Systematic draws ------------------------------------------------------------------------------------------------
-enum class Noise { everywhere, sparse, some_tiles, one_pixel, nowhere };
+enum class Noise { everywhere, sparse, some_tiles, one_pixel, nowhere, steep };
 
 bool noisy(Noise noise, const pmc::Tiling& tiling, std::uint32_t slot) {
     const std::uint32_t tile = slot / pmc::Tiling::area;
@@ -139,10 +146,20 @@ bool noisy(Noise noise, const pmc::Tiling& tiling, std::uint32_t slot) {
     case Noise::sparse: return pmc::hash32(slot) % 97 == 0;
     case Noise::some_tiles: return tile >= tiling.tiles() / 3 && tile < tiling.tiles() / 2 && tile % 3;
     case Noise::one_pixel: return slot == tiling.slot(tiling.width / 2, tiling.height / 3);
-    case Noise::nowhere: break;
+    case Noise::nowhere: return false;
+    case Noise::steep: return tiling.x(slot) > 0;
     }
     return false;
 }
+
+// Over 24 powers of ten. Or dark, where variance alone counts, a tile's first row of about 2^24 times the variance of the others, which
+// as floats add more than half a last place to it: one.
+float brightness_of(Noise noise, const pmc::Tiling& tiling, std::uint32_t slot, std::uint32_t random) {
+    if (noise != Noise::steep) return std::pow(10.0f, static_cast<float>(random % 24) - 12.0f);
+    return 1e-8f * (1.0f + static_cast<float>(tiling.x(slot)) / 16.0f) * (tiling.y(slot) % pmc::Tiling::side ? 1.01f * 0x1p-12f : 1.0f);
+}
+
+constexpr std::uint32_t most_drawn = 0x7fffffffu;  // from a pixel
 
 // A film with samples from a seed, and draws from it.
 struct Steered {
@@ -153,12 +170,16 @@ struct Steered {
         for (std::uint32_t slot = 0; slot < film.sums.size(); ++slot) {
             if (!film.tiling.inside(slot)) continue;
             const pmc::Stream stream(seed, 0, slot);
-            const float brightness = std::pow(10.0f, static_cast<float>(stream.word(0) % 24) - 12.0f);
-            for (std::uint32_t k = stream.word(1) % 6; k > 0; --k) {
+            const float brightness = brightness_of(noise, film.tiling, slot, stream.word(0));
+            const bool varies = noisy(noise, film.tiling, slot), steep = noise == Noise::steep;
+            for (std::uint32_t k = steep ? 2 : stream.word(1) % 6; k > 0; --k) {
                 slots.push_back(slot);
-                for (std::uint32_t c = 0; c < 3; ++c) radiance.push_back(noisy(noise, film.tiling, slot) ? brightness * stream.uniform(k, c + 1) : brightness);
+                for (std::uint32_t c = 0; c < 3; ++c) {
+                    const float noise_here = steep ? static_cast<float>(k) : stream.uniform(k, c + 1);
+                    radiance.push_back(varies ? brightness * noise_here : brightness);
+                }
             }
-            film.drawn[slot] = stream.word(2) % 50 ? stream.word(3) % 9 : 0x80000000u;  // that many get no more
+            film.drawn[slot] = stream.word(2) % 50 ? stream.word(3) % 9 : most_drawn + 1;
         }
         pmc::Batch batch;
         batch.pixel.resize(slots.size());
@@ -186,8 +207,14 @@ struct Drawn {
 
 Drawn drawn(Steered& from, std::size_t count, std::size_t members, float offset) {
     constexpr std::uint32_t nothing = ~0u;
-    Drawn d{std::vector(count - members, nothing), std::vector(members, nothing), std::vector(from.film.tiling.tiles() + 1, nothing)};
+    Drawn d{std::vector(count + 1, nothing), std::vector(count + 1, nothing), std::vector(from.film.tiling.tiles() + 1, nothing)};
     (*from.draw)(count, offset, pmc::Shares(count, members, d.direct.data(), d.member.data(), d.starts.data()), from.threads);
+    const auto filled = [&](const std::vector<std::uint32_t>& slots, std::size_t n) {
+        return std::count(slots.begin(), slots.begin() + static_cast<std::ptrdiff_t>(n), nothing) == 0 && slots[n] == nothing;
+    };
+    require(filled(d.direct, count - members) && filled(d.member, members), "there are as many draws of each kind as were asked for");
+    d.direct.resize(count - members);
+    d.member.resize(members);
     return d;
 }
 
@@ -215,30 +242,48 @@ struct Exact {
 // Columns of 16 weights are summed as floats, of which the total is the sum: what that may change, as a share.
 constexpr long double rounding_of_sums = 2 * 15 * 0x1p-24L;
 
-void check_density(const std::vector<std::uint32_t>& all, const Exact& exact) {
+void check_pixels(const std::vector<std::size_t>& draws, long double count, const Exact& exact) {
+    for (std::size_t slot = 0; slot < draws.size(); ++slot) {
+        const std::size_t tile = slot / pmc::Tiling::area;
+        const float weight = exact.weight[slot];
+        require(weight > 0.0f || draws[slot] == 0, "a pixel without weight is never drawn");
+        // The largest of a tile has what falls between rounded sums beside its own.
+        const long double most = weight == exact.largest[tile] ? 2.0L : 1.0L, allowance = rounding_of_sums * count * exact.tile[tile] / exact.total + 1e-9L;
+        const long double more = static_cast<long double>(draws[slot]) - count * weight / exact.total;
+        require(more > -1.0L - allowance && more < most + allowance, "a pixel is drawn as often as its weight says, to less than one");
+    }
+}
+
+std::vector<std::size_t> by_pixel(const std::vector<std::uint32_t>& all, const Exact& exact) {
     std::vector<std::size_t> draws(exact.weight.size(), 0);
-    for (const std::uint32_t slot : all) {
-        require(slot < draws.size(), "every draw is a pixel");
-        ++draws[slot];
-    }
-    const long double each = static_cast<long double>(all.size()) / exact.total;
-    long double expected_until = 0.0L;
-    std::size_t until = 0;
+    for (const std::uint32_t slot : all) ++draws.at(slot);
+    return draws;
+}
+
+// Draws lie where the cumulative weight, in units of which there are as many as draws, passes a whole number + offset.
+void check_density(const std::vector<std::uint32_t>& all, const Exact& exact, float offset) {
+    const std::vector<std::size_t> draws = by_pixel(all, exact);
+    const auto count = static_cast<long double>(all.size());
+    check_pixels(draws, count, exact);
+    long double weight_until = 0.0L, draws_until = 0.0L;
     for (std::size_t t = 0; t < exact.tile.size(); ++t) {
-        const long double in_tile = each * exact.tile[t], allowance = rounding_of_sums * in_tile + 1e-9L;
-        for (std::size_t slot = t * pmc::Tiling::area; slot < (t + 1) * pmc::Tiling::area; ++slot) {
-            const float weight = exact.weight[slot];
-            require(weight > 0.0f || draws[slot] == 0, "a pixel without weight is never drawn");
-            // The largest of a tile has what falls between rounded sums beside its own.
-            const long double most = weight == exact.largest[t] ? 2.0L : 1.0L;
-            const long double more = static_cast<long double>(draws[slot]) - each * weight;
-            require(more > -1.0L - allowance && more < most + allowance, "a pixel is drawn as often as its weight says, to less than one");
-            until += draws[slot];
-        }
-        expected_until += in_tile;
-        require(std::abs(static_cast<long double>(until) - expected_until) < 1.0L + rounding_of_sums * static_cast<long double>(all.size()) + 1e-9L,
-                "as many draws lie in all tiles up to one, to less than one");
+        weight_until += exact.tile[t];
+        for (std::size_t slot = t * pmc::Tiling::area; slot < (t + 1) * pmc::Tiling::area; ++slot) draws_until += static_cast<long double>(draws[slot]);
+        const long double more = draws_until - count * weight_until / exact.total, allowance = rounding_of_sums * count + 1e-9L;
+        require(more > -offset - allowance && more < 1.0L - offset + allowance, "draws come in equal steps of the weight of tiles, from the offset on");
     }
+}
+
+// All draws from offsets in equal steps are those of one draw of smaller steps.
+void check_offsets(Steered& from, std::size_t count, const Exact& exact) {
+    constexpr std::uint32_t offsets = 16;
+    const float first = pmc::unit_float(static_cast<std::uint32_t>(generator()) & ~0xfffu) / offsets;
+    std::vector<std::uint32_t> all;
+    for (std::uint32_t k = 0; k < offsets; ++k) {
+        const std::vector<std::uint32_t> some = drawn(from, count, 0, first + static_cast<float>(k) / offsets).direct;
+        all.insert(all.end(), some.begin(), some.end());
+    }
+    check_pixels(by_pixel(all, exact), static_cast<long double>(all.size()), exact);
 }
 
 void check_shares(const Drawn& d, const std::vector<std::uint32_t>& all, std::size_t members) {
@@ -255,12 +300,15 @@ void check_shares(const Drawn& d, const std::vector<std::uint32_t>& all, std::si
 
 void draw_from(std::uint32_t width, std::uint32_t height, const pmc::Config& config, Noise noise) {
     const auto seed = static_cast<std::uint32_t>(generator());
-    const std::string image = size_of(width, height) + ", power " + std::to_string(config.beta_power) + ", noise " + std::to_string(static_cast<int>(noise)) + ", seed " + std::to_string(seed);
+    const std::string drawn_by = (config.is_unbiased() ? ", unbiased, power " : ", power ") + std::to_string(config.beta_power);
+    const std::string image = size_of(width, height) + drawn_by + ", noise " + std::to_string(static_cast<int>(noise)) + ", seed " + std::to_string(seed);
     at = image;
     Steered one(width, height, config, noise, seed, 1), two(width, height, config, noise, seed, 2), five(width, height, config, noise, seed, 5);
     const Exact exact(one.film);
     require(std::abs(one.draw->total() - exact.total) <= rounding_of_sums * exact.total, "the total is the sum of weights");
     require(one.draw->total() == two.draw->total() && one.draw->total() == five.draw->total(), "sums do not depend on threads");
+    for (std::size_t slot = 0; slot < exact.weight.size() && !config.is_unbiased(); ++slot)
+        require(one.film.drawn[slot] <= most_drawn || exact.weight[slot] == 0.0f, "a pixel that has all that it may has no weight");
     require(noise != Noise::nowhere || config.is_unbiased() || exact.total == 0.0L, "where there is no noise nothing has weight");
     if (!(exact.total > 0.0L)) return;
     const std::uint32_t pixels = width * height, counts[] = {1, 2, 1 + below(20), 1 + below(pixels), 1 + below(4 * pixels)};
@@ -268,8 +316,10 @@ void draw_from(std::uint32_t width, std::uint32_t height, const pmc::Config& con
         const float offset = below(8) == 0 ? 0.0f : below(8) == 0 ? 1.0f - 0x1p-24f : pmc::unit_float(static_cast<std::uint32_t>(generator()));
         at = image + ", " + std::to_string(count) + " draws from " + std::to_string(offset);
         const std::vector<std::uint32_t> all = drawn(one, count, 0, offset).direct;
-        require(std::is_sorted(all.begin(), all.end(), [](std::uint32_t a, std::uint32_t b) { return a / pmc::Tiling::area < b / pmc::Tiling::area; }), "draws come out tile by tile");
-        check_density(all, exact);
+        const auto by_tile = [](std::uint32_t a, std::uint32_t b) { return a / pmc::Tiling::area < b / pmc::Tiling::area; };
+        require(std::is_sorted(all.begin(), all.end(), by_tile), "draws come out tile by tile");
+        check_density(all, exact, offset);
+        if (pixels < 4000) check_offsets(one, count, exact);
         for (const std::uint32_t members : {0u, 1u, count / 3, below(count + 1), count}) {
             const Drawn d = drawn(one, count, members, offset);
             check_shares(d, all, members);
@@ -278,8 +328,22 @@ void draw_from(std::uint32_t width, std::uint32_t height, const pmc::Config& con
     }
 }
 
+// So many draws that some fall between the sums of columns and those of their pixels, which are rounded each in its own way.
+void draw_between() {
+    pmc::Config config;
+    config.beta = pmc::Beta::variance;
+    config.beta_power = 1.0;
+    Steered steep(16, 16, config, Noise::steep, 1, 2);
+    const Exact exact(steep.film);
+    for (const float offset : {0.0f, 0.25f, 0.5f, 0.75f}) {
+        at = "16x16, steep, from " + std::to_string(offset);
+        check_density(drawn(steep, 1 << 22, 0, offset).direct, exact, offset);
+    }
+}
+
 void systematic() {
-    const std::pair<std::uint32_t, std::uint32_t> sizes[] = {{1, 1}, {7, 20}, {48, 48}, {100, 37}, {16 * 9, 16 * 15}, {333, 130}};
+    draw_between();
+    const Size sizes[] = {{1, 1}, {13, 20}, {48, 48}, {100, 37}, {16 * 9, 16 * 15}, {333, 130}};
     for (const auto& [width, height] : sizes) {
         for (const Noise noise : {Noise::everywhere, Noise::sparse, Noise::some_tiles, Noise::one_pixel, Noise::nowhere}) {
             pmc::Config config;
@@ -400,6 +464,19 @@ void throwing(pmc::ThreadPool& pool, std::size_t count, std::size_t first, std::
         for (std::size_t i = 0; i < count; ++i) require(calls[i] == (i <= first), "a single thread stops where it throws");
 }
 
+// Each of two tasks waits for the other: no thread does both. The caller then waits for the other's, for so long that it may sleep.
+void at_once(pmc::ThreadPool& pool) {
+    const std::thread::id caller = std::this_thread::get_id();
+    std::atomic<int> here{0}, done{0};
+    pool.run(2, [&](std::size_t) {
+        ++here;
+        while (here < 2) std::this_thread::yield();
+        if (std::this_thread::get_id() != caller) std::this_thread::sleep_for(std::chrono::milliseconds(5));
+        ++done;
+    });
+    require(done == 2, "a run ends after its tasks");
+}
+
 void drive(pmc::ThreadPool& pool, const std::string& name, int rounds) {
     for (int k = 0; k < rounds; ++k) {
         for (const bool awake : {false, true}) {
@@ -420,7 +497,15 @@ void parallel() {
     for (const unsigned threads : {1u, 2u, 16u}) {
         pmc::ThreadPool pool(threads);
         require(pool.size() == threads, "a pool has the threads that were asked for");
-        drive(pool, std::to_string(threads) + " threads", 40);
+        drive(pool, std::to_string(threads) + " threads", 15);
+        for (const bool awake : {false, true}) {
+            if (threads == 1) continue;
+            at = std::to_string(threads) + " threads that slept" + (awake ? ", awake" : "");
+            std::this_thread::sleep_for(std::chrono::milliseconds(5));
+            std::unique_ptr<pmc::ThreadPool::Awake> lives;
+            if (awake) lives = std::make_unique<pmc::ThreadPool::Awake>(pool);
+            at_once(pool);
+        }
     }
     for (int k = 0; k < 100; ++k) {
         pmc::ThreadPool pool(1 + below(4));
@@ -431,9 +516,10 @@ void parallel() {
     pmc::ThreadPool on_threads((pmc::Threads(others)));
     require(on_threads.size() == others->size(), "a pool is as large as its executor");
     drive(on_threads, "others' threads", 5);
+    at_once(on_threads);
     const auto caller = std::make_shared<InCaller>();
     pmc::ThreadPool in_caller((pmc::Threads(caller)));
-    drive(in_caller, "an executor in the caller", 40);
+    drive(in_caller, "an executor in the caller", 15);
 
     std::fenv_t before;
     std::fegetenv(&before);
@@ -469,7 +555,10 @@ float any_float() {
     }
 }
 // Of the size that sums have.
-double usual_double() { return std::ldexp(1.0 + static_cast<double>(generator() >> 12) * 0x1p-52, static_cast<int>(below(60)) - 30) * (below(2) ? 1.0 : -1.0); }
+double usual_double() {
+    const double mantissa = 1.0 + static_cast<double>(generator() >> 12) * 0x1p-52;
+    return std::ldexp(below(2) ? mantissa : -mantissa, static_cast<int>(below(60)) - 30);
+}
 
 // The largest number with a mantissa of `bits` that is not above |value|, with its sign; and its last place.
 std::pair<double, double> towards_zero(double value, int bits) {
@@ -485,6 +574,11 @@ template <int N>
 std::array<double, 4> through(const std::array<double, 4>& values, std::uint32_t dither) {
     pmc::Reals40<N> kept;
     kept.set(pmc::Quad{values[0], values[1], values[2], values[3]}, dither);
+    if (N < 4) {
+        pmc::Reals40<N> again;
+        again.set(pmc::Quad{values[0], values[1], values[2], 1e-3 - values[3]}, dither);
+        require(!std::memcmp(&kept, &again, sizeof(kept)), "nothing is taken of what is beyond the last");
+    }
     pmc::Quad all;
     kept.get(all);
     for (int i = 0; i < N; ++i) require(same(kept.get(i), all[i]), "a number is the same alone and with the others");
@@ -578,7 +672,8 @@ void perception() {
         require(table(L) == darkness, "darkness has one threshold");
     }
     at = "tvi";
-    require(std::abs(pmc::tvi(0.0) / std::pow(10.0, -2.86) - 1.0) < 1e-12 && pmc::tvi(-1.0) == pmc::tvi(0.0) && pmc::tvi(1e-310) == pmc::tvi(0.0), "darkness has the threshold 10^-2.86");
+    for (const double L : {0.0, -1.0, 1e-310, 1e-4})
+        require(std::abs(pmc::tvi(L) / std::pow(10.0, -2.86) - 1.0) < 1e-12, "darkness has the threshold 10^-2.86");
     require(pmc::tvi(std::numeric_limits<double>::infinity()) == std::numeric_limits<double>::infinity(), "infinity has an infinite threshold");
     require(std::isnan(pmc::tvi(std::numeric_limits<double>::quiet_NaN())), "NaN stays NaN");
     at = "at the end of floats";
@@ -588,7 +683,8 @@ void perception() {
 }  // namespace
 
 int main(int argc, char** argv) {
-    const std::pair<std::string, std::function<void()>> parts[] = {{"pool", pool}, {"systematic", systematic}, {"parallel", parallel}, {"rounding", rounding}, {"perception", perception}};
+    const std::pair<std::string, void (*)()> parts[] = {
+        {"pool", pool}, {"systematic", systematic}, {"parallel", parallel}, {"rounding", rounding}, {"perception", perception}};
     try {
         for (const auto& [name, part] : parts) {
             if (argc != 2 || name != argv[1]) continue;

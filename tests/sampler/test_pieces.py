@@ -15,6 +15,6 @@ pytestmark = pytest.mark.needs("c++")
 def test_pieces(part: str, build: Callable[[str, list[str]], Path]) -> None:
     """A part that keeps what its header says has nothing to say, and no thread of it waits forever."""
     program = build("tests/sampler/pieces.cpp", ["-O2"])
-    process = subprocess.run([program, part], capture_output=True, text=True, check=False, timeout=120)
+    process = subprocess.run([program, part], capture_output=True, text=True, check=False, timeout=60)
     assert process.returncode == 0, process.stderr
     assert process.stdout == process.stderr == ""
