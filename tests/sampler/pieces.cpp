@@ -441,7 +441,8 @@ void each_once(pmc::ThreadPool& pool, std::size_t count) {
     require(pieces <= std::max<std::size_t>(1, 8 * pool.size()), "there are several ranges for each thread, not many");
 }
 
-struct Thrown {
+struct Thrown : std::runtime_error {
+    explicit Thrown(std::size_t i) : std::runtime_error(at + ": thrown by task " + std::to_string(i)), i(i) {}
     std::size_t i;
 };
 
