@@ -332,7 +332,8 @@ def sampler_for(
 
 def threads_of(radiance: Radiance, timeout: float | None) -> _core.Executor | None:
     """The threads that a renderer lends; none where it may be given up, for when it hangs they may never be free."""
-    return getattr(radiance, "threads", None) if timeout is None else None
+    threads = getattr(radiance, "threads", None)
+    return threads if timeout is None and isinstance(threads, _core.Executor) else None
 
 
 def config_for(radiance: Radiance, settings: Mapping[str, Any]) -> Config:

@@ -31,8 +31,8 @@ public:
             const auto& payload = *static_cast<Payload*>(p);
             payload.task(payload.thread(), payload.data);
         };
-        // A payload of size 0 is not copied. The caller works along while it waits.
-        functions_.task_wait_and_release(functions_.task_submit_dep(nullptr, nullptr, 0, calls, call, &payload, 0, nullptr, 0, 0));
+        // The payload is copied. The caller works along while it waits.
+        functions_.task_wait_and_release(functions_.task_submit_dep(nullptr, nullptr, 0, calls, call, &payload, sizeof(payload), nullptr, 0, 0));
     }
 
 private:

@@ -162,8 +162,9 @@ private:
     }
     void work(unsigned thread) {
         std::uint64_t helped = 0;
-        while (!stop_) {
-            const std::uint32_t before = calls_;
+        for (;;) {
+            const std::uint32_t before = calls_;  // read first: a call that comes after it ends the wait below at once
+            if (stop_) return;
             if (help(thread, helped)) continue;
             if (Clock::now().time_since_epoch().count() < awake_until_)
                 std::this_thread::yield();
