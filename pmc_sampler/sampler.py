@@ -304,8 +304,8 @@ def render(
 ) -> Result:
     """Renders an image: a thin loop over `Sampler.ask` and `tell` that gives the same bits. Arguments as theirs.
 
-    A renderer with attributes `aovs` and `signed` is taken at its word. Raises ValueError where it has a `width` and a
-    `height` and they are others.
+    A renderer with attributes `aovs`, `signed` and `threads` is taken at its word. Raises ValueError where it has a
+    `width` and a `height` and they are others.
     """
     made_for = (getattr(radiance, "width", width), getattr(radiance, "height", height))
     if made_for != (width, height):

@@ -81,7 +81,6 @@ void restore(Sampler& sampler, const nb::dict& blocks) {
     sampler.archive(reader);
 }
 
-
 using Words = nb::ndarray<const std::uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
 void check_pairs(const Words& a, const Words& b) {

@@ -170,8 +170,9 @@ inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std:
     const std::size_t own = batch.iteration_samples;
     const std::size_t moved = own ? population.members.size() * config.moves : 0;
     const std::size_t placed = own ? batch.evaluated.size() : 0, in_pool = own ? pool_slots_.size() : 0;
-    proposals_.slot.resize(given.size() + moved + placed + pool_slots_.size());
-    proposals_.tag.resize(given.size() + moved + placed + pool_slots_.size());
+    const std::size_t most = given.size() + moved + placed - in_pool + pool_slots_.size();
+    proposals_.slot.resize(most);
+    proposals_.tag.resize(most);
     std::uint32_t* slot = proposals_.slot.data();
     std::uint8_t* tag = proposals_.tag.data();
     std::copy(given.begin(), given.end(), slot);

@@ -88,7 +88,7 @@ private:
     double inverse_ = 0.0, next_;  // of the number of samples but one, and of the number of samples
 };
 
-// Samples with their radiance: a stretch of a batch, pixel by pixel.
+// Samples with their radiance: a stretch of a batch, tile by tile.
 struct Told {
     const std::uint32_t* slot;
     const std::uint8_t* tag;

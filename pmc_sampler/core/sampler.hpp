@@ -31,7 +31,7 @@ enum class Done : std::uint8_t { no, spp, seconds, visible_noise };
 
 class Sampler {
 public:
-    // aovs: channels after RGB that are averaged along. threads: 0 for one on each processor; the image does not depend on it.
+    // aovs: channels after RGB that are averaged along. threads: how many, or whose; the image does not depend on it.
     // is_signed: radiance may be negative.
     Sampler(std::uint32_t width, std::uint32_t height, const Budget& budget, const Config& settings = {}, std::uint64_t seed = 0,
             std::uint32_t aovs = 0, Threads threads = {}, bool is_signed = false)
@@ -285,11 +285,11 @@ private:
     Done done_ = Done::no;
     std::optional<Clock::time_point> started_;
     double elapsed_before_ = 0.0;
-    struct Told {
+    struct Progress {
         std::uint64_t samples;
         double elapsed;
     };
-    std::optional<Told> first_told_;  // what there was after the first batch that was told here
+    std::optional<Progress> first_told_;  // what there was after the first batch that was told here
 
     // Scratch of one draw and one tell.
     Proposals proposals_;
