@@ -206,7 +206,7 @@ def _measured(job: Job, run_id: str, one: Run) -> Outcome:
         made, resolved = _native(one, radiance), one.method.settings_on(one.scene.name)
     else:
         spent = setup if job.suite.counts_setup(job.scene) else 0.0
-        sampler = _sampler(job.suite, one, radiance, spent, job.timeout)
+        sampler = _sampler(job.suite, one, radiance, spent)
         with _in_time(radiance, job.timeout) as call:
             made, resolved = _sampled(sampler, call, spent), baselines.settings_of(sampler)
     white, reference = job.suite.white_luminance, job.reference
@@ -305,13 +305,13 @@ def _layers(film: Any) -> dict[str, NDArray[Any]]:
     return layers
 
 
-def _sampler(suite: Suite, one: Run, radiance: Any, spent: float = 0.0, timeout: float | None = None) -> Any:
+def _sampler(suite: Suite, one: Run, radiance: Any, spent: float = 0.0) -> Any:
     """The sampler of a run; ``spent`` of the seconds of its budget are gone, though for one batch there is time."""
     value = one.budget.value if one.budget.kind == "spp" else max(one.budget.value - spent, 1e-9)
     settings = one.method.settings_on(one.scene.name)
     if settings["sampler"] in WEIGHING:
         settings = {"white_luminance": suite.white_luminance, **settings}
-    return baselines.make(settings, radiance, Budget(**{one.budget.kind: value}), one.seed, timeout)
+    return baselines.make(settings, radiance, Budget(**{one.budget.kind: value}), one.seed)
 
 
 def _prepare(

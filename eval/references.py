@@ -296,7 +296,7 @@ class _Replicates:
 
 def _sampler(inner: Path, radiance: Any, width: int, height: int, spp: int, seed: int) -> Sampler:
     if inner.is_file():
-        sampler = Sampler.load(inner, threads_of(radiance, None))
+        sampler = Sampler.load(inner, threads_of(radiance))
         if sampler.seed == seed:
             return sampler
     return sampler_for(radiance, width, height, Budget(spp=spp), Config.uniform(), seed)

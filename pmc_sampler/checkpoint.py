@@ -13,7 +13,7 @@ import numpy.typing as npt
 from pmc_sampler import npz
 
 FORMAT = "pmc_sampler checkpoint"
-VERSION = 5
+VERSION = 6
 Blocks = dict[str, npt.NDArray[np.uint8]]
 
 

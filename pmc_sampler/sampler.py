@@ -312,7 +312,7 @@ def render(
         raise ValueError(
             f"the image is {width}x{height} and the renderer renders {made_for[0]}x{made_for[1]}: give both one size"
         )
-    return sampler_for(radiance, width, height, budget, config, seed, timeout).run(radiance, progress, timeout)
+    return sampler_for(radiance, width, height, budget, config, seed).run(radiance, progress, timeout)
 
 
 def sampler_for(
@@ -322,18 +322,16 @@ def sampler_for(
     budget: Budget,
     config: Config | None = None,
     seed: int = 0,
-    timeout: float | None = None,
 ) -> Sampler:
     """A sampler for what a renderer says of itself: its extra channels (`aovs`), its `threads`, if it is `signed`."""
     aovs, signed = getattr(radiance, "aovs", 0), getattr(radiance, "signed", False)
-    threads = threads_of(radiance, timeout)
-    return Sampler(width, height, budget, config, seed, aovs=aovs, threads=threads, signed=signed)
+    return Sampler(width, height, budget, config, seed, aovs=aovs, threads=threads_of(radiance), signed=signed)
 
 
-def threads_of(radiance: Radiance, timeout: float | None) -> _core.Executor | None:
-    """The threads that a renderer lends; none where it may be given up, for when it hangs they may never be free."""
+def threads_of(radiance: Radiance) -> _core.Executor | None:
+    """The threads that a renderer lends, if any. Where they are busy with its own work the sampler's is done without."""
     threads = getattr(radiance, "threads", None)
-    return threads if timeout is None and isinstance(threads, _core.Executor) else None
+    return threads if isinstance(threads, _core.Executor) else None
 
 
 def config_for(radiance: Radiance, settings: Mapping[str, Any]) -> Config:

@@ -12,7 +12,7 @@ import drjit
 
 from pmc_sampler import _core
 
-_FUNCTIONS = ("pool_size", "pool_thread_id", "task_submit_dep", "task_wait_and_release")
+_FUNCTIONS = ("pool_size", "pool_thread_id", "task_submit_dep", "task_release")
 
 
 @cache
@@ -20,7 +20,10 @@ def executor() -> _core.Executor | None:
     """Those threads; None where this version of Dr.Jit has no such library beside it."""
     folder = Path(drjit.__file__).parent
     for path in sorted(folder.glob("*nanothread.*")):
-        library = ctypes.CDLL(str(path))
+        try:
+            library = ctypes.CDLL(str(path))
+        except OSError:  # not Dr.Jit's own, which is loaded
+            continue
         if all(hasattr(library, name) for name in _FUNCTIONS):
             return _core.Nanothread(*(_address(library, name) for name in _FUNCTIONS))
     return None

@@ -40,14 +40,13 @@ NAMES = ("pmc", "uniform", *_RULES)
 """What ``sampler`` of a method may be."""
 
 
-def make(method: Mapping[str, Any], radiance: Any, budget: Budget, seed: int, timeout: float | None = None) -> Any:
+def make(method: Mapping[str, Any], radiance: Any, budget: Budget, seed: int) -> Any:
     """The sampler that a method names, for the renderer ``radiance``, which has a ``width`` and a ``height``.
 
     ``method``: ``sampler`` is one of :data:`NAMES`; all else are that sampler's settings: of "pmc" and "uniform" as
     ``Config.from_dict`` takes them, of the others the arguments of their rule (:class:`Greedy`,
-    :class:`ErrorThreshold`, :class:`Neyman`) and ``initial_spp`` (:class:`AllocatingSampler`). ``timeout``: seconds
-    after which a batch will be given up, if any. Raises ``ValueError`` or ``TypeError`` with a sentence that says what
-    came and what was expected.
+    :class:`ErrorThreshold`, :class:`Neyman`) and ``initial_spp`` (:class:`AllocatingSampler`). Raises ``ValueError`` or
+    ``TypeError`` with a sentence that says what came and what was expected.
     """
     settings = dict(method)
     name = settings.pop("sampler", None)
@@ -57,7 +56,7 @@ def make(method: Mapping[str, Any], radiance: Any, budget: Budget, seed: int, ti
     if name in ("pmc", "uniform"):
         preset = {"preset": "uniform"} if name == "uniform" else {}
         config = config_for(radiance, {**preset, **settings})
-        return sampler_for(radiance, width, height, budget, config, seed, timeout)
+        return sampler_for(radiance, width, height, budget, config, seed)
     _check_filter(name, radiance, settings.pop("filter", None))
     initial_spp = settings.pop("initial_spp", None)
     try:

@@ -134,11 +134,11 @@ def _job(options: argparse.Namespace, output: Output, resources: ExitStack) -> J
     path = options.checkpoint if chosen else output.exr.with_name(f"{output.exr.name}.checkpoint")
     checkpoint = Checkpoint(path, identity, chosen, options.checkpoint_every)
     checkpoint.check_writable()
-    resumed = checkpoint.resume(threads_of(radiance, options.timeout))
+    resumed = checkpoint.resume(threads_of(radiance))
     if resumed is not None:
         return Job(radiance, trace, resumed, checkpoint, NOT_YET | checkpoint.seconds)
     try:
-        sampler = sampler_for(radiance, radiance.width, radiance.height, budget, config, options.seed, options.timeout)
+        sampler = sampler_for(radiance, radiance.width, radiance.height, budget, config, options.seed)
     except (ValueError, TypeError, MemoryError) as error:
         raise CommandError(str(error)) from error
     return Job(radiance, trace, sampler, checkpoint)

@@ -142,16 +142,16 @@ NB_MODULE(_core, m) {
     nb::class_<pmc::Executor>(m, "Executor").def_prop_ro("size", &pmc::Executor::size);
     nb::class_<pmc::Nanothread, pmc::Executor>(m, "Nanothread")
         .def("__init__",
-             [](pmc::Nanothread* self, std::uintptr_t pool_size, std::uintptr_t pool_thread_id, std::uintptr_t task_submit_dep, std::uintptr_t task_wait_and_release) {
+             [](pmc::Nanothread* self, std::uintptr_t pool_size, std::uintptr_t pool_thread_id, std::uintptr_t task_submit_dep, std::uintptr_t task_release) {
                  pmc::Nanothread::Functions functions;
                  const auto set = [](auto& function, std::uintptr_t address) { function = reinterpret_cast<std::decay_t<decltype(function)>>(address); };
                  set(functions.pool_size, pool_size);
                  set(functions.pool_thread_id, pool_thread_id);
                  set(functions.task_submit_dep, task_submit_dep);
-                 set(functions.task_wait_and_release, task_wait_and_release);
+                 set(functions.task_release, task_release);
                  new (self) pmc::Nanothread(functions);
              },
-             "pool_size"_a, "pool_thread_id"_a, "task_submit_dep"_a, "task_wait_and_release"_a);
+             "pool_size"_a, "pool_thread_id"_a, "task_submit_dep"_a, "task_release"_a);
 
     nb::class_<Sampler>(m, "Sampler")
         .def("__init__",
@@ -181,7 +181,7 @@ NB_MODULE(_core, m) {
         .def("visible_noise", [](Sampler& s) { return s.alone([&] { return pmc::visible_noise(s.film(), s.threads()); }); })
         .def("mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::corrected_mean(f, s.config, o, s.threads()); }); })
         .def("plain_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::plain_mean(f, o, s.threads()); }); })
-        .def("pool_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::pool_mean(f, s.config, o, s.threads()); }); })
+        .def("pool_mean", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::pool_mean(f, o, s.threads()); }); })
         .def("standard_error", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::standard_error(f, o, s.threads()); }); })
         .def("strategy", [](Sampler& s) { return image(s, 3, [&](const pmc::Film& f, float* o) { pmc::strategy(f, o, s.threads()); }); })
         .def("halves", [](Sampler& s) {

@@ -32,6 +32,7 @@ inline std::uint64_t Sampler::batch_size(const SystematicDraw& beta) const {
 inline bool Sampler::prepare() {
     const std::uint64_t left = total_ - issued_;
     if (left == 0) return false;
+    const UsualArithmetic usual;
     auto batch = batches_.take();
     batch->number = drawn_batches_;
     batch->owner = id_;
@@ -42,6 +43,7 @@ inline bool Sampler::prepare() {
         const std::uint64_t room = config.is_uniform() ? left : initial_ - issued_;
         fill(*batch, std::min({left, room, batch_size()}));
     } else {
+        film_.part(threads_);
         if (reserved() == ~0u) reserve(pool_passes(affordable_spp()));
         const auto passes = static_cast<float>(static_cast<double>(pool_.cursor()) / static_cast<double>(film_.tiling.slots()));
         if (config.is_unbiased())

@@ -70,6 +70,21 @@ public:
         return rejected;
     }
 
+    // From now on the pool's samples are told apart from others; until then all are the pool's, and cost less.
+    void part(ThreadPool& threads) {
+        if (parted_) return;
+        parted_ = true;
+        static_assert(Tiling::area <= Told::block);
+        threads.ranges(tiling.tiles(), 4, [&](std::size_t first, std::size_t last) {
+            Moments moments;
+            for (auto tile = static_cast<std::uint32_t>(first); tile < last; ++tile) {
+                copy_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, tile * Tiling::area, (tile + 1) * Tiling::area, moments);
+                if (live_) note_scores(moments);
+            }
+        });
+    }
+    bool parted() const { return parted_; }
+
     // The density of every pixel anew: where it is not kept up to date sample by sample (Config::adapt_beta_every above 1).
     void adapt_beta(ThreadPool& threads) {
         threads.ranges(tiling.tiles(), 16, [&](std::size_t first, std::size_t last) {
@@ -125,7 +140,7 @@ public:
     // beta as the sampler sees it (Config::beta), not normalised.
     float beta(std::size_t slot) const {
         const PixelSums& p = sums[slot];
-        const double value = uniform_ ? score(p.variance(), p.mean()) : scores_[slot];
+        const double value = uniform_ || (live_ && !parted_) ? score(p.variance(), p.mean()) : scores_[slot];
         return static_cast<float>(rule_ == Beta::gain && p.n ? value / (double(p.n) * p.n) : value);
     }
 
@@ -199,8 +214,8 @@ public:
 
     Tiling tiling;
     Zeroed<PixelSums> sums;
-    Zeroed<Reals40<3>> pool_mean;  // mean radiance of the pool's samples alone; of no use where all are
-    Zeroed<float> pool_m2;  // squared deviations of luminance of these samples; for the unbiased estimator only
+    Zeroed<Reals40<3>> pool_mean;  // mean radiance of the pool's samples alone, once parted()
+    Zeroed<float> pool_m2;  // squared deviations of luminance of these samples, once parted(); for the unbiased estimator only
     Zeroed<std::array<std::uint16_t, 3>> strategy;  // samples that each radius proposed; all three are halved before one runs over
     Zeroed<std::uint32_t> drawn;  // samples drawn from each pixel's adaptive sequence: the next one's index
     Zeroed<double> aov_sums;
@@ -220,6 +235,9 @@ public:
         a.array("film.tiles", tiles_);
         a.array("film.aov_sums", aov_sums);
         a.value("film.samples", samples);
+        std::uint8_t parted = parted_;
+        a.value("film.parted", parted);
+        parted_ = parted != 0;
         if constexpr (Archive::reading)
             if (!steers()) throw std::runtime_error("the checkpoint's film is damaged: it has weights that no samples give");
     }
@@ -239,7 +257,7 @@ private:
         Moments moments;
         for (std::size_t first = 0, last; first < told.size; first = last) {
             last = told.end_of_block(first);
-            if (uniform_) {
+            if (!parted_) {
                 add_to_sums(sums.data(), told, first, last, true, moments);
             } else {
                 const Origins origins(told, first, last);
@@ -284,7 +302,7 @@ private:
     Zeroed<Tile> tiles_;
     Beta rule_;
     double power_;
-    bool uniform_, unbiased_, live_;
+    bool uniform_, unbiased_, live_, parted_ = false;
     std::uint32_t colour_ = 0;
     std::vector<float> guide_share_;
 };

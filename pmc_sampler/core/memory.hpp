@@ -34,13 +34,14 @@ public:
     Block() = default;
     Block(std::size_t bytes, bool zeroed) {
 #if PMC_HUGE_PAGES
-        if (bytes >= huge) {
-            mapped_ = bytes + huge;
+        if (bytes >= huge / 2) {
+            const std::size_t whole = (bytes + huge - 1) / huge * huge;  // the rest of the last page, too, or it would be small ones
+            mapped_ = whole + huge;
             block_ = mmap(nullptr, mapped_, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_ANONYMOUS, -1, 0);
             if (block_ == MAP_FAILED) throw std::bad_alloc();
-            data_ = align(huge, bytes, mapped_);
+            data_ = align(huge, whole, mapped_);
             // Not for what may only be touched here and there: a film larger than the memory. Where it is refused, small pages do.
-            if (bytes <= physical() / 8) madvise(data_, bytes, MADV_HUGEPAGE);
+            if (bytes <= physical() / 8) madvise(data_, whole, MADV_HUGEPAGE);
             return;
         }
 #endif

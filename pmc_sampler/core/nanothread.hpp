@@ -3,6 +3,8 @@
 #pragma once
 
 #include <cstdint>
+#include <functional>
+#include <utility>
 
 #include "parallel.hpp"
 
@@ -16,23 +18,23 @@ public:
         std::uint32_t (*pool_thread_id)();
         void* (*task_submit_dep)(void* pool, const void* const* parents, std::uint32_t parent_count, std::uint32_t size, void (*call)(std::uint32_t, void*), void* payload,
                                  std::uint32_t payload_size, void (*payload_deleter)(void*), int always_async, int profile);
-        void (*task_wait_and_release)(void* task);
+        void (*task_release)(void* task);
     };
     explicit Nanothread(const Functions& functions) : functions_(functions) {}
 
     unsigned size() const override { return functions_.pool_size(nullptr); }
-    void run(unsigned calls, void (*task)(unsigned thread, void* data), void* data) override {
+    void submit(unsigned calls, std::function<void(unsigned thread)> call) override {
         struct Payload {
-            void (*task)(unsigned, void*);
-            void* data;
+            std::function<void(unsigned)> call;
             std::uint32_t (*thread)();
-        } payload{task, data, functions_.pool_thread_id};
-        const auto call = [](std::uint32_t, void* p) {
-            const auto& payload = *static_cast<Payload*>(p);
-            payload.task(payload.thread(), payload.data);
         };
-        // The payload is copied. The caller works along while it waits.
-        functions_.task_wait_and_release(functions_.task_submit_dep(nullptr, nullptr, 0, calls, call, &payload, sizeof(payload), nullptr, 0, 0));
+        const auto run = [](std::uint32_t, void* p) {
+            const auto& payload = *static_cast<Payload*>(p);
+            payload.call(payload.thread());
+        };
+        const auto drop = [](void* p) { delete static_cast<Payload*>(p); };  // after the last call
+        constexpr int asynchronous = 1;
+        functions_.task_release(functions_.task_submit_dep(nullptr, nullptr, 0, calls, run, new Payload{std::move(call), functions_.pool_thread_id}, 0, drop, asynchronous, 0));
     }
 
 private:

@@ -24,9 +24,9 @@ class Executor {
 public:
     virtual ~Executor() = default;
     virtual unsigned size() const = 0;  // threads, the caller's included
-    // Makes `calls` calls of task(thread, data), at once as far as there are threads, and returns when all are done; `thread` tells those
-    // that make them apart, below size() if it can.
-    virtual void run(unsigned calls, void (*task)(unsigned thread, void* data), void* data) = 0;
+    // Has call(thread) called up to `calls` times, as soon as other threads are free, and returns at once: nobody depends on whether
+    // and when. `thread` tells those that call it apart, below size() if it can. Where it throws, nothing is called.
+    virtual void submit(unsigned calls, std::function<void(unsigned thread)> call) = 0;
 };
 
 // How many threads of its own a pool is to have, the caller's included, 0 for one on each processor; or whose it is to use.
@@ -53,11 +53,93 @@ private:
     std::fenv_t before_;
 };
 
+// What is run now, for those who help with it: some come when it is done, or when whoever wanted it is no more.
+class Work {
+public:
+    using Task = std::function<void(std::size_t)>;
+
+    explicit Work(unsigned threads) : shares_(threads) {}
+
+    // Calls task(i) for every i < count, and returns when all are done; the first exception is thrown then. call_for_help() is called
+    // before the caller begins. Without help it is done all the same, so that it may throw.
+    template <class CallForHelp>
+    void run(std::size_t count, const Task& task, CallForHelp&& call_for_help) {
+        for (std::size_t t = 0; t < shares_.size(); ++t) {
+            shares_[t].next = count * t / shares_.size();
+            shares_[t].end = count * (t + 1) / shares_.size();
+        }
+        ++runs_;
+        task_ = &task;
+        try {
+            call_for_help();
+        } catch (const std::exception&) {
+        }
+        drain(task, 0);
+        task_ = nullptr;  // whoever comes only now is not waited for
+        for (unsigned busy; (busy = busy_) != 0;)
+            if (!spin([this] { return busy_ == 0; })) busy_.wait(busy);
+        if (error_) std::rethrow_exception(std::exchange(error_, nullptr));
+    }
+
+    // Takes part in what is run, unless it did already (`helped`); false where there is nothing to do. The task lives until no thread
+    // is busy: one that counts itself in before it looks for the task finds either one that waits for it, or none.
+    bool help(unsigned thread, std::uint64_t& helped) {
+        if (!task_ || runs_ == helped) return false;
+        ++busy_;
+        if (const Task* task = task_) {
+            const UsualArithmetic usual;
+            helped = runs_;
+            drain(*task, thread);
+        }
+        if (--busy_ == 0) busy_.notify_one();
+        return true;
+    }
+
+private:
+    // What each thread begins with: the same part of the whole in every run, so that what it wrote is still in its caches. Who is
+    // done with it goes on with the others'.
+    struct alignas(64) Share {
+        std::atomic<std::size_t> next{0};
+        std::size_t end = 0;
+    };
+
+    void drain(const Task& task, unsigned thread) {
+        for (std::size_t k = 0; k < shares_.size(); ++k) {
+            Share& share = shares_[(thread + k) % shares_.size()];
+            for (std::size_t i; (i = share.next++) < share.end;) {
+                try {
+                    task(i);
+                } catch (...) {
+                    const std::lock_guard lock(mutex_);
+                    if (!error_) error_ = std::current_exception();
+                }
+            }
+        }
+    }
+    // Whether something becomes so shortly.
+    template <class Condition>
+    static bool spin(Condition&& condition) {
+        for (int i = 0; i < 200; ++i) {
+            if (condition()) return true;
+            std::this_thread::yield();
+        }
+        return false;
+    }
+
+    std::vector<Share> shares_;
+    std::atomic<const Task*> task_{nullptr};
+    std::atomic<std::uint64_t> runs_{0};
+    std::atomic<unsigned> busy_{0};  // threads at the task, the caller's not among them
+    std::mutex mutex_;
+    std::exception_ptr error_;
+};
+
 class ThreadPool {
 public:
     explicit ThreadPool(Threads threads = {})
         : executor_(std::move(threads.executor)),
-          size_(std::max(1u, executor_ ? executor_->size() : threads.count ? threads.count : std::thread::hardware_concurrency())), shares_(size_) {}
+          size_(std::max(1u, executor_ ? executor_->size() : threads.count ? threads.count : std::thread::hardware_concurrency())),
+          work_(std::make_shared<Work>(size_)) {}
     ~ThreadPool() {
         stop_ = true;
         wake();
@@ -85,23 +167,15 @@ public:
         ThreadPool& threads_;
     };
 
+    // Arithmetic is the usual in all tasks, whatever it is in the caller.
     template <class Task>
     void run(std::size_t count, Task&& task) {
+        const UsualArithmetic usual;
         if (size_ == 1 || count <= 1) {
             for (std::size_t i = 0; i < count; ++i) task(i);
             return;
         }
-        const std::function<void(std::size_t)> function = [&task](std::size_t i) { task(i); };
-        error_ = nullptr;
-        for (unsigned t = 0; t < size_; ++t) {
-            shares_[t].next = count * t / size_;
-            shares_[t].end = count * (t + 1) / size_;
-        }
-        if (executor_)
-            run_by_executor(function);
-        else
-            run_by_workers(function);
-        if (error_) std::rethrow_exception(error_);
+        work_->run(count, [&task](std::size_t i) { task(i); }, [this] { call_for_help(); });
     }
 
     // task(begin, end) over [0, count) in pieces of at least `grain`, several for each thread so that none waits long.
@@ -114,60 +188,25 @@ public:
 private:
     using Clock = std::chrono::steady_clock;
 
-    void run_by_executor(const std::function<void(std::size_t)>& function) {
-        struct Job {
-            ThreadPool& pool;
-            const std::function<void(std::size_t)>& function;
-        } job{*this, function};
-        executor_->run(size_, [](unsigned thread, void* data) {
-            const UsualArithmetic usual;
-            const auto& job = *static_cast<Job*>(data);
-            job.pool.drain(job.function, thread);
-        }, &job);
-    }
-    void run_by_workers(const std::function<void(std::size_t)>& function) {
-        // Threads start with the first work for them: a sampler that is only asked about its settings has none.
-        while (workers_.size() + 1 < size_) workers_.emplace_back([this, thread = static_cast<unsigned>(workers_.size()) + 1] { work(thread); });
-        ++runs_;
-        task_ = &function;
+    void call_for_help() {
+        if (executor_) {
+            executor_->submit(size_ - 1, [work = work_](unsigned thread) {
+                std::uint64_t helped = 0;
+                work->help(thread, helped);
+            });
+            return;
+        }
+        // Threads start with the first work for them: a sampler that is only asked about its settings has none. Where the system
+        // refuses one, those that there are do its work.
+        while (workers_.size() + 1 < size_) workers_.emplace_back([this, thread = static_cast<unsigned>(workers_.size()) + 1] { serve(thread); });
         if (awake_until_ != std::numeric_limits<Clock::rep>::max()) wake();
-        drain(function, 0);
-        task_ = nullptr;  // whoever comes only now is not waited for
-        for (unsigned busy; (busy = busy_) != 0;)
-            if (!spin([this] { return busy_ == 0; })) busy_.wait(busy);
     }
-    // Begins with what is the thread's own.
-    void drain(const std::function<void(std::size_t)>& task, unsigned thread) {
-        for (unsigned k = 0; k < size_; ++k) {
-            Share& share = shares_[(thread + k) % size_];
-            for (std::size_t i; (i = share.next++) < share.end;) {
-                try {
-                    task(i);
-                } catch (...) {
-                    const std::lock_guard lock(mutex_);
-                    if (!error_) error_ = std::current_exception();
-                }
-            }
-        }
-    }
-    // Takes part in what is run, unless it did already; false where there is nothing to do. The task lives until no thread is busy:
-    // one that counts itself in before it looks for the task finds either one that waits for it, or none.
-    bool help(unsigned thread, std::uint64_t& helped) {
-        if (!task_ || runs_ == helped) return false;
-        ++busy_;
-        if (const std::function<void(std::size_t)>* task = task_) {
-            helped = runs_;
-            drain(*task, thread);
-        }
-        if (--busy_ == 0) busy_.notify_one();
-        return true;
-    }
-    void work(unsigned thread) {
+    void serve(unsigned thread) {
         std::uint64_t helped = 0;
         for (;;) {
             const std::uint32_t before = calls_;  // read first: a call that comes after it ends the wait below at once
             if (stop_) return;
-            if (help(thread, helped)) continue;
+            if (work_->help(thread, helped)) continue;
             if (Clock::now().time_since_epoch().count() < awake_until_)
                 std::this_thread::yield();
             else
@@ -178,35 +217,14 @@ private:
         ++calls_;
         calls_.notify_all();
     }
-    // Whether something becomes so shortly.
-    template <class Condition>
-    static bool spin(Condition&& condition) {
-        for (int i = 0; i < 200; ++i) {
-            if (condition()) return true;
-            std::this_thread::yield();
-        }
-        return false;
-    }
-
-    // What each thread begins with: the same part of the whole in every run, so that what it wrote is still in its caches. Who is
-    // done with it goes on with the others'.
-    struct alignas(64) Share {
-        std::atomic<std::size_t> next{0};
-        std::size_t end = 0;
-    };
 
     std::shared_ptr<Executor> executor_;
     unsigned size_;
-    std::vector<Share> shares_;
+    std::shared_ptr<Work> work_;
     std::vector<std::thread> workers_;
-    std::atomic<const std::function<void(std::size_t)>*> task_{nullptr};
-    std::atomic<std::uint64_t> runs_{0};
-    std::atomic<unsigned> busy_{0};  // threads at the task, the caller's not among them
     std::atomic<std::uint32_t> calls_{0};  // how often sleeping threads were called
     std::atomic<Clock::rep> awake_until_{0};
     std::atomic<bool> stop_{false};
-    std::mutex mutex_;
-    std::exception_ptr error_;
 };
 
 }  // namespace pmc

@@ -37,7 +37,8 @@ inline void plain_mean(const Film& film, float* out, ThreadPool& threads) {
 // that of U. What its neighbours cannot take, for one pixel outshines them, stays where it is: the sum is the same.
 inline void corrected_mean(const Film& film, const Config& config, float* out, ThreadPool& threads) {
     plain_mean(film, out, threads);
-    if (config.correction == 0.0 || config.is_uniform()) return;
+    if (config.correction == 0.0 || !film.parted()) return;  // else the means are the same
+    const UsualArithmetic usual;
     const Tiling& t = film.tiling;
     const std::size_t n = t.pixels();
     const Smoother smooth(t.width, t.height, config.correction_sigma);
@@ -88,8 +89,8 @@ inline void corrected_mean(const Film& film, const Config& config, float* out, T
 }
 
 // Mean of the pool's samples alone, unbiased at every count; all samples where all are the pool's.
-inline void pool_mean(const Film& film, const Config& config, float* out, ThreadPool& threads) {
-    if (config.is_uniform()) return plain_mean(film, out, threads);
+inline void pool_mean(const Film& film, float* out, ThreadPool& threads) {
+    if (!film.parted()) return plain_mean(film, out, threads);
     for_each_pixel(film, threads, [&](std::size_t i, std::size_t slot) {
         for (int c = 0; c < 3; ++c) out[3 * i + c] = static_cast<float>(film.pool_mean[slot].get(c));
     });

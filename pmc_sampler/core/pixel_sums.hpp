@@ -155,6 +155,23 @@ PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std:
     moments.size = changed;
 }
 
+// Where all samples of pixels [first, last), a block at most, are the pool's: the means of the pool's own, their squared deviations of
+// luminance to `m2`, if any, and the moments of the pixels that have samples.
+PMC_MULTIVERSION inline void copy_to_pool(const PixelSums* sums, Reals40<3>* means, float* m2, std::uint32_t first, std::uint32_t last, Moments& moments) {
+    std::size_t sampled = 0;
+    for (std::uint32_t slot = first; slot < last; ++slot) {
+        const PixelSums& p = sums[slot];
+        const double weight = reciprocal(p.n);
+        means[slot].set(Quad{p.sum[0], p.sum[1], p.sum[2], 0.0} * weight, dither(p.n));
+        if (m2) m2[slot] = static_cast<float>(std::min<double>(p.m2.get(3), std::numeric_limits<float>::max()));
+        moments.slot[sampled] = slot;
+        moments.variance[sampled] = p.variance();
+        moments.mean[sampled] = p.mean();
+        sampled += p.n > 0;
+    }
+    moments.size = sampled;
+}
+
 // Adds the pool's samples to the means of the pool's own, and their squared deviations of luminance to `m2`, if any.
 PMC_MULTIVERSION inline void add_to_pool(PixelSums* sums, Reals40<3>* means, float* m2, const Told& told, const Origins& origins) {
     for (std::size_t k = 0; k < origins.in_pool; ++k) {

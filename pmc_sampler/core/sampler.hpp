@@ -109,6 +109,7 @@ public:
         const auto kept = open->second;
         open_.erase(open);
         if (done_ == Done::visible_noise) return;
+        const ThreadPool::Awake awake(threads_);
         if (kept->number == told_)
             incorporate(*kept, nullptr, false);
         else

@@ -3,6 +3,7 @@
 #pragma once
 
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -77,6 +78,7 @@ PMC_MULTIVERSION inline void count_draws(const TileWeights& w, double scale, dou
         }
     }
     // From bytes of 0 or 1 to bits: eight by one multiplication.
+    constexpr std::uint64_t gather = std::endian::native == std::endian::little ? 0x0102040810204080u : 0x8040201008040201u;
     alignas(8) std::uint8_t any[Tiling::area];
     for (std::uint32_t i = 0; i < Tiling::area; ++i) any[i] = counts[i] > 0;
     for (std::uint32_t word = 0; word < Tiling::area / 64; ++word) {
@@ -84,7 +86,7 @@ PMC_MULTIVERSION inline void count_draws(const TileWeights& w, double scale, dou
         for (std::uint32_t byte = 0; byte < 8; ++byte) {
             std::uint64_t eight;
             std::memcpy(&eight, any + 64 * word + 8 * byte, 8);
-            drawn[word] |= (eight * 0x0102040810204080u >> 56) << 8 * byte;
+            drawn[word] |= (eight * gather >> 56) << 8 * byte;
         }
     }
 }

@@ -31,6 +31,7 @@ void film(const char* file, std::uint64_t each, std::uint64_t cycles, std::size_
     if (!in || values.empty()) throw std::runtime_error("cannot read the file");
     pmc::ThreadPool threads(1);
     pmc::Film film(1, 1, {}, 0);
+    film.part(threads);
     const std::uint64_t total = values.size() * each * cycles;
     pmc::Batch batch = batch_of(size), rest = batch_of(total % size);
     std::vector<float> radiance(3 * size);
@@ -57,6 +58,7 @@ void beta(std::uint64_t updates) {
     constexpr std::size_t size = 4 * side * side;
     pmc::ThreadPool threads(1);
     pmc::Film film(side, side, {}, 0);
+    film.part(threads);
     pmc::Batch batch = batch_of(size);
     std::fill_n(batch.tag.data(), size, std::uint8_t(pmc::Tag::no_kernel));
     std::vector<float> radiance(3 * size);

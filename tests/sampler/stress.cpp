@@ -96,7 +96,7 @@ void read_pictures(pmc::Sampler& sampler) {
     };
     pmc::plain_mean(film, image.data(), sampler.threads()), finite(image);
     pmc::corrected_mean(film, sampler.config, image.data(), sampler.threads()), finite(image);
-    pmc::pool_mean(film, sampler.config, image.data(), sampler.threads()), finite(image);
+    pmc::pool_mean(film, image.data(), sampler.threads()), finite(image);
     pmc::strategy(film, image.data(), sampler.threads()), finite(image);
     pmc::halves(film, image.data(), other.data(), sampler.threads()), finite(image), finite(other);
     pmc::standard_error(film, image.data(), sampler.threads());

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
+import threading
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,7 +39,7 @@ def test_the_same_bits_as_on_threads_of_its_own(renderer: Any, scale: float) -> 
 
 
 def test_a_renderer_lends_its_threads(renderer: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A sampler that is made for the renderer gets them; one with a time-out, or in a CUDA variant, has its own."""
+    """A sampler that is made for the renderer gets them; one in a CUDA variant has its own."""
     import drjit as dr
 
     assert renderer.threads.size == dr.thread_count()
@@ -49,11 +52,34 @@ def test_a_renderer_lends_its_threads(renderer: Any, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(Sampler, "__init__", init)
     sampler_for(renderer, 96, 64, Budget(spp=1))
-    sampler_for(renderer, 96, 64, Budget(spp=1), timeout=60.0)
     monkeypatch.setattr(renderer, "variant", "cuda_ad_rgb")
     sampler_for(renderer, 96, 64, Budget(spp=1))
     assert given[0] is not None
-    assert given[1:] == [None, None]
+    assert given[1:] == [None]
+
+
+def test_threads_that_do_not_come_are_not_waited_for(renderer: Any) -> None:
+    """As when the renderer hangs, or has work of its own in the queue: the caller does all, to the same bits."""
+    import drjit as dr
+
+    def render(threads: Any) -> Any:
+        sampler = Sampler(96, 64, Budget(spp=8), Config(), seed=2, threads=threads)
+        while not sampler.done:
+            batch = sampler.ask()
+            sampler.tell(batch, np.sin(batch.positions[:, [0, 1, 0]] * batch.index[:, None]) ** 2)
+        return sampler.film.mean
+
+    entered, release = threading.Semaphore(0), threading.Event()
+    nanothread = ctypes.CDLL(str(next(Path(dr.__file__).parent.glob("libnanothread.*"))))
+    nanothread.task_submit_dep.restype = ctypes.c_void_p
+    call = ctypes.CFUNCTYPE(None, ctypes.c_uint32, ctypes.c_void_p)(lambda *_: (entered.release(), release.wait(60)))
+    task = nanothread.task_submit_dep(None, None, 0, dr.thread_count(), call, None, 0, None, 1, 0)
+    try:
+        assert entered.acquire(timeout=60)
+        assert np.array_equal(render(renderer.threads), render(1))
+    finally:
+        release.set()
+        nanothread.task_wait_and_release(ctypes.c_void_p(task))
 
 
 def test_after_a_change_of_their_number(renderer: Any) -> None:
