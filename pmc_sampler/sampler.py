@@ -329,7 +329,7 @@ def sampler_for(
 
 
 def threads_of(radiance: Radiance) -> _core.Executor | None:
-    """The threads that a renderer lends, if any. Where they are busy with its own work the sampler's is done without."""
+    """The threads that a renderer lends, if any. Where they are busy the sampler works without them."""
     threads = getattr(radiance, "threads", None)
     return threads if isinstance(threads, _core.Executor) else None
 

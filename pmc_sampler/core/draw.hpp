@@ -82,6 +82,7 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     const SystematicDraw beta(film_, passes, threads_, [&] {
         if (own_share > 0.0) replaced = resample(batch, share_of(own_share, batch_size()));
     });
+    if (own_share > 0.0) adapt(batch, replaced);
     std::uint64_t size = std::min(left, batch_size(beta));
     if (own_share > 0.0) {
         const std::uint64_t own = population_of(batch.number).members.size() * config.moves + batch.evaluated.size();
@@ -105,7 +106,7 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     fill(batch, size - direct);
 }
 
-// Resampling of the population whose turn it is (paper, Figure 2): adapt, eliminate. The members to replace, and in
+// Resampling of the population whose turn it is (paper, Figure 2). The members to replace, and in
 // batch.evaluated those of them that are evaluated where they are put.
 inline std::vector<std::uint32_t> Sampler::resample(Batch& batch, std::uint64_t room) {
     Population& population = population_of(batch.number);
@@ -120,11 +121,8 @@ inline std::vector<std::uint32_t> Sampler::resample(Batch& batch, std::uint64_t 
         // A first iteration regenerates all; where the population was sized to fill the batch, no more are evaluated than later.
         if (!config.population) evaluated_share *= config.eliminate;
     } else {
-        if (population.iteration % config.adapt_alpha_every == 0) population.adapt(config, memory_);
         replaced = population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number));
-        for (const std::uint32_t m : replaced) Population::adapt(population.members[m], config, memory_);
     }
-    ++population.iteration;
     if (evaluated_share >= 1.0) {
         batch.evaluated = replaced;
     } else if (evaluated_share > 0.0) {
@@ -133,6 +131,14 @@ inline std::vector<std::uint32_t> Sampler::resample(Batch& batch, std::uint64_t 
                 batch.evaluated.push_back(replaced[i]);
     }
     return replaced;
+}
+
+// What the members have learned of the kernels: of all now and then, and of those that are replaced before they are.
+inline void Sampler::adapt(const Batch& batch, const std::vector<std::uint32_t>& replaced) {
+    Population& population = population_of(batch.number);
+    if (population.iteration++ % config.adapt_alpha_every == 0)
+        population.adapt(population.members.size(), [](std::size_t i) { return i; }, config, memory_, threads_);
+    population.adapt(replaced.size(), [&](std::size_t i) { return replaced[i]; }, config, memory_, threads_);
 }
 
 // Puts the replaced members at the pixels that beta gave (member_slots_), the rest of them where the pool says.

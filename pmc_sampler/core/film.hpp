@@ -201,10 +201,18 @@ public:
     }
 
     // Luminance of the i-th of some samples, NaN where it is not valid().
-    float luminance_of(const float* radiance, std::size_t i) const {
-        const float* v = radiance + i * (3 + aovs);
-        return valid(v) ? static_cast<float>(luminance(double(v[0]), double(v[1]), double(v[2]))) : std::numeric_limits<float>::quiet_NaN();
-    }
+    struct Luminances {
+        const Film& film;
+        const float* radiance;
+
+        const float* sample(std::size_t i) const { return radiance + i * (3 + film.aovs); }
+        void fetch(std::size_t i) const { __builtin_prefetch(sample(i)); }
+        float operator()(std::size_t i) const {
+            const float* v = sample(i);
+            return film.valid(v) ? static_cast<float>(luminance(double(v[0]), double(v[1]), double(v[2]))) : std::numeric_limits<float>::quiet_NaN();
+        }
+    };
+    Luminances luminance_of(const float* radiance) const { return {*this, radiance}; }
 
     // Whether n samples are valid(), at a glance; false where it cannot tell, as of channels after RGB that are negative.
     bool all_valid(const float* radiance, std::size_t n) const {
@@ -260,6 +268,8 @@ private:
             if (!parted_) {
                 add_to_sums(sums.data(), told, first, last, true, moments);
             } else {
+                if (live_)
+                    for (std::size_t i = first; i < last; ++i) __builtin_prefetch(&scores_[told.slot[i]], 1);
                 const Origins origins(told, first, last);
                 for (std::size_t k = 0; k < origins.in_pool; ++k) __builtin_prefetch(&pool_mean[told.slot[origins.of_pool[k]]], 1);
                 for (std::size_t k = 0; k < origins.by_kernels; ++k) __builtin_prefetch(&strategy[told.slot[origins.of_kernels[k]]], 1);

@@ -132,7 +132,7 @@ struct Moments {
 // Adds samples [first, last), a block, and notes the moments of their pixels. all_of_pool: nobody else draws any.
 PMC_MULTIVERSION inline void add_to_sums(PixelSums* sums, const Told& told, std::size_t first, std::size_t last, bool all_of_pool, Moments& moments) {
     // The film is larger than the caches and samples jump about in it: what is needed `ahead` samples on is fetched now.
-    constexpr std::size_t ahead = 32;
+    constexpr std::size_t ahead = 64;
     const std::uint32_t* const slot = told.slot;
     const std::size_t end = told.size - 1, stride = told.stride;
     const float* radiance = told.radiance + first * stride;

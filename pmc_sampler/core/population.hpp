@@ -84,6 +84,7 @@ public:
         if (alpha[0] + alpha[1] + alpha[2] <= 0.0f) std::fill_n(alpha.begin(), kernels_, 1.0f / kernels_);
         return alpha;
     }
+    void fetch(const Member& member) const { __builtin_prefetch(&cells_[index(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y))], 1); }
     void learn(const Member& member) {
         if (rate_ == 0.0f) return;
         const auto x = static_cast<std::uint32_t>(member.x), y = static_cast<std::uint32_t>(member.y);
@@ -161,17 +162,29 @@ struct Population {
         return gone;
     }
 
-    // Section 4.3.3 for every member that has seen enough, remembered in the image.
-    void adapt(const Config& config, AlphaMemory& memory) {
-        for (Member& member : members) adapt(member, config, memory);
-    }
-    static void adapt(Member& member, const Config& config, AlphaMemory& memory) {
+    // Section 4.3.3 for n members, the i-th at which(i), of which no two are the same: those that have seen enough, remembered in the
+    // image.
+    template <class Which>
+    void adapt(std::size_t n, Which&& which, const Config& config, AlphaMemory& memory, ThreadPool& threads) {
         const std::uint32_t kernels = config.kernels();
-        bool enough = false;
-        for (std::uint32_t k = 0; k < kernels; ++k) enough |= member.kernel[k].n >= 2.0f;
-        if (!enough) return;
-        member.alpha = adapted_alpha(member, kernels, static_cast<float>(config.alpha_floor));
-        memory.learn(member);
+        const auto has_seen_enough = [&](const Member& member) {
+            bool enough = false;
+            for (std::uint32_t k = 0; k < kernels; ++k) enough |= member.kernel[k].n >= 2.0f;
+            return enough;
+        };
+        threads.ranges(n, 256, [&](std::size_t first, std::size_t last) {
+            for (std::size_t i = first; i < last; ++i) {
+                Member& member = members[which(i)];
+                if (has_seen_enough(member)) member.alpha = adapted_alpha(member, kernels, static_cast<float>(config.alpha_floor));
+            }
+        });
+        // One after the other: what the image remembers depends on the order.
+        constexpr std::size_t ahead = 8;
+        for (std::size_t i = 0; i < n; ++i) {
+            memory.fetch(members[which(std::min(i + ahead, n - 1))]);
+            const Member& member = members[which(i)];
+            if (has_seen_enough(member)) memory.learn(member);
+        }
     }
 
     void place(std::uint32_t i, float x, float y, const AlphaMemory& memory) {
@@ -212,9 +225,17 @@ struct Population {
     // What a batch's samples say of the members that proposed it. luminance(i): that of the i-th, NaN where it is left out.
     template <class Luminance>
     void tell(const Batch& batch, Luminance&& luminance, std::uint32_t moves, ThreadPool& threads) {
-        const std::size_t moved = members.size() * moves;
+        const std::size_t moved = members.size() * moves, proposals = batch.place.size();
+        // Proposals lie all over the batch: what is needed `ahead` proposals on is fetched now.
+        constexpr std::size_t ahead = 64;
+        const auto fetch = [&](std::size_t proposal) {
+            const std::uint32_t i = batch.place[std::min(proposal + ahead, proposals - 1)];
+            luminance.fetch(i);
+            __builtin_prefetch(&batch.tag[i]);
+        };
         threads.ranges(batch.evaluated.size(), 512, [&](std::size_t first, std::size_t last) {
             for (std::size_t i = first; i < last; ++i) {
+                fetch(moved + i);
                 const float y = luminance(batch.place[moved + i]);
                 if (y == y) members[batch.evaluated[i]].all.add(y);
             }
@@ -223,6 +244,7 @@ struct Population {
             for (std::size_t m = first; m < last; ++m) {
                 Member& member = members[m];
                 for (std::size_t proposal = m * moves; proposal < (m + 1) * moves; ++proposal) {
+                    fetch(proposal);
                     const std::uint32_t i = batch.place[proposal];
                     const float y = luminance(i);
                     if (y != y) continue;

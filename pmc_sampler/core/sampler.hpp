@@ -209,7 +209,7 @@ private:
         ++told_;
         if (radiance) {
             rejected_ += film_.add(batch, radiance, clean, threads_);
-            if (batch.iteration_samples > 0) population_of(batch.number).tell(batch, [&](std::size_t i) { return film_.luminance_of(radiance, i); }, config.moves, threads_);
+            if (batch.iteration_samples > 0) population_of(batch.number).tell(batch, film_.luminance_of(radiance), config.moves, threads_);
         } else {
             issued_ -= batch.size();
         }
@@ -262,6 +262,7 @@ private:
     void draw_unbiased(Batch& batch, std::uint64_t size, float passes);
     void draw_adaptive(Batch& batch, std::uint64_t left, float passes);
     std::vector<std::uint32_t> resample(Batch& batch, std::uint64_t room);
+    void adapt(const Batch& batch, const std::vector<std::uint32_t>& replaced);
     void regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced);
     void fill(Batch& batch, std::uint64_t size, std::span<const std::uint32_t> given = {});
 
