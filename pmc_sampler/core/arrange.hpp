@@ -109,7 +109,7 @@ private:
     // Their number.
     std::size_t sort(const Proposals& proposals, ThreadPool& threads) {
         const std::size_t n = proposals.slot.size(), tiles = tiling_.tiles();
-        const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 4096));
+        const std::size_t chunks = std::max<std::size_t>(1, std::min<std::size_t>(threads.size(), n / 1024));
         chunk_starts_.resize(chunks * (tiles + 1));
         entries_.resize(n);
         threads.run(chunks, [&](std::size_t c) {

@@ -82,7 +82,11 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     const SystematicDraw beta(film_, passes, threads_, [&] {
         if (own_share > 0.0) replaced = resample(batch, share_of(own_share, batch_size()));
     });
-    if (own_share > 0.0) adapt(batch, replaced);
+    const bool adapts = own_share > 0.0;
+    if (adapts) adapt(batch, replaced);
+    const auto remember = [&] {
+        if (adapts) population_of(batch.number).remember(replaced.size(), [&](std::size_t i) { return replaced[i]; }, memory_);
+    };
     std::uint64_t size = std::min(left, batch_size(beta));
     if (own_share > 0.0) {
         const std::uint64_t own = population_of(batch.number).members.size() * config.moves + batch.evaluated.size();
@@ -100,7 +104,9 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     if (members + direct) {
         proposals_.direct_starts.resize(film_.tiling.tiles() + 1);
         const Shares both(members + direct, members, proposals_.direct.data(), member_slots_.data(), proposals_.direct_starts.data());
-        beta(members + direct, Stream(seed, stream::offset, batch.number).uniform(0), both, threads_);
+        beta(members + direct, Stream(seed, stream::offset, batch.number).uniform(0), both, threads_, remember);
+    } else {
+        remember();
     }
     regenerate(batch, replaced);
     fill(batch, size - direct);
@@ -133,12 +139,15 @@ inline std::vector<std::uint32_t> Sampler::resample(Batch& batch, std::uint64_t 
     return replaced;
 }
 
-// What the members have learned of the kernels: of all now and then, and of those that are replaced before they are.
+// What the members have learned of the kernels: of all now and then, and of those that are replaced, which is yet to be remembered.
 inline void Sampler::adapt(const Batch& batch, const std::vector<std::uint32_t>& replaced) {
     Population& population = population_of(batch.number);
-    if (population.iteration++ % config.adapt_alpha_every == 0)
-        population.adapt(population.members.size(), [](std::size_t i) { return i; }, config, memory_, threads_);
-    population.adapt(replaced.size(), [&](std::size_t i) { return replaced[i]; }, config, memory_, threads_);
+    if (population.iteration++ % config.adapt_alpha_every == 0) {
+        const auto each = [](std::size_t i) { return i; };
+        population.adapt(population.members.size(), each, config, threads_);
+        population.remember(population.members.size(), each, memory_);
+    }
+    population.adapt(replaced.size(), [&](std::size_t i) { return replaced[i]; }, config, threads_);
 }
 
 // Puts the replaced members at the pixels that beta gave (member_slots_), the rest of them where the pool says.
@@ -157,7 +166,7 @@ inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint3
     const Stream place(seed, stream::place, batch.number);
     const auto jitter = static_cast<float>(config.regenerate_jitter);
     const float width = static_cast<float>(film_.tiling.width), height = static_cast<float>(film_.tiling.height);
-    threads_.ranges(n, 1024, [&](std::size_t first, std::size_t last) {
+    threads_.ranges(n, 256, [&](std::size_t first, std::size_t last) {
         for (std::size_t i = first; i < last; ++i) {
             const auto counter = static_cast<std::uint32_t>(i);
             float x = in_pixel(static_cast<float>(film_.tiling.x(member_slots_[i])), place.uniform(counter, 0));
@@ -187,7 +196,7 @@ inline void Sampler::fill(Batch& batch, std::uint64_t size, std::span<const std:
     std::fill_n(tag, given.size(), Tag::no_kernel);
     // Regenerated members are evaluated where they are now, before they move.
     std::size_t next = given.size() + moved;
-    threads_.ranges(placed - in_pool, 512, [&](std::size_t first, std::size_t last) {
+    threads_.ranges(placed - in_pool, 256, [&](std::size_t first, std::size_t last) {
         for (std::size_t i = first; i < last; ++i) {
             const Member& member = population.members[batch.evaluated[i]];
             slot[next + i] = film_.tiling.slot(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y));

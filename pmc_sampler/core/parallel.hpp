@@ -178,6 +178,17 @@ public:
         work_->run(count, [&task](std::size_t i) { task(i); }, [this] { call_for_help(); });
     }
 
+    // The same, and calls beside() meanwhile, on one thread.
+    template <class Task, class Beside>
+    void run(std::size_t count, Task&& task, Beside&& beside) {
+        run(count + 1, [&](std::size_t i) {
+            if (i == 0)
+                beside();
+            else
+                task(i - 1);
+        });
+    }
+
     // task(begin, end) over [0, count) in pieces of at least `grain`, several for each thread so that none waits long.
     template <class Task>
     void ranges(std::size_t count, std::size_t grain, Task&& task) {

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <functional>
+#include <iterator>
 #include <limits>
 #include <numeric>
 #include <vector>
@@ -40,6 +41,10 @@ struct Member {
     std::uint32_t rounds;  // N_used: resampling rounds since it was regenerated
     Running all;
     Running kernel[Config::max_kernels];
+
+    bool has_seen_enough() const {  // to tell kernels apart
+        return std::any_of(std::begin(kernel), std::end(kernel), [](const Running& k) { return k.n >= 2.0f; });
+    }
 };
 
 // Equation of section 4.3.3, normalised: alpha_k = floor / K + (1 - floor) (1/var_k) / sum(1/var), a kernel with no variance
@@ -162,28 +167,25 @@ struct Population {
         return gone;
     }
 
-    // Section 4.3.3 for n members, the i-th at which(i), of which no two are the same: those that have seen enough, remembered in the
-    // image.
+    // Section 4.3.3 for n members, the i-th at which(i), of which no two are the same: for those that have seen enough.
     template <class Which>
-    void adapt(std::size_t n, Which&& which, const Config& config, AlphaMemory& memory, ThreadPool& threads) {
+    void adapt(std::size_t n, Which&& which, const Config& config, ThreadPool& threads) {
         const std::uint32_t kernels = config.kernels();
-        const auto has_seen_enough = [&](const Member& member) {
-            bool enough = false;
-            for (std::uint32_t k = 0; k < kernels; ++k) enough |= member.kernel[k].n >= 2.0f;
-            return enough;
-        };
         threads.ranges(n, 256, [&](std::size_t first, std::size_t last) {
             for (std::size_t i = first; i < last; ++i) {
                 Member& member = members[which(i)];
-                if (has_seen_enough(member)) member.alpha = adapted_alpha(member, kernels, static_cast<float>(config.alpha_floor));
+                if (member.has_seen_enough()) member.alpha = adapted_alpha(member, kernels, static_cast<float>(config.alpha_floor));
             }
         });
-        // One after the other: what the image remembers depends on the order.
+    }
+    // The image remembers what they have; in their order, on which it depends.
+    template <class Which>
+    void remember(std::size_t n, Which&& which, AlphaMemory& memory) const {
         constexpr std::size_t ahead = 8;
         for (std::size_t i = 0; i < n; ++i) {
             memory.fetch(members[which(std::min(i + ahead, n - 1))]);
             const Member& member = members[which(i)];
-            if (has_seen_enough(member)) memory.learn(member);
+            if (member.has_seen_enough()) memory.learn(member);
         }
     }
 

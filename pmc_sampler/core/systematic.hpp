@@ -57,21 +57,17 @@ public:
     template <class Beside>
     SystematicDraw(Film& film, float passes, ThreadPool& threads, Beside&& beside) : film_(film), starts_((film.tiling.tiles() + block - 1) / block + 1, 0.0) {
         const std::size_t tiles = film.tiling.tiles();
-        std::vector<double> crowding(starts_.size(), 0.0);
-        threads.run(starts_.size(), [&](std::size_t i) {
-            if (i == 0) {
-                beside();
-                return;
-            }
-            const std::size_t first = (i - 1) * block, last = std::min(tiles, first + block);
+        std::vector<double> crowding(starts_.size() - 1, 0.0);
+        threads.run(starts_.size() - 1, [&](std::size_t b) {
+            const std::size_t first = b * block, last = std::min(tiles, first + block);
             film.weigh(first, last, passes);
             double sum = 0.0;
             for (std::size_t t = first; t < last; ++t) {
                 sum += film.tile_weight(t);
-                crowding[i] += film.tile_crowding(t);
+                crowding[b] += film.tile_crowding(t);
             }
-            starts_[i] = sum;
-        });
+            starts_[b + 1] = sum;
+        }, beside);
         for (std::size_t b = 1; b < starts_.size(); ++b) {
             if (starts_[b] > 0.0) last_ = b - 1;
             starts_[b] += starts_[b - 1];
@@ -83,8 +79,12 @@ public:
     // By what factor each draw would raise the number of samples of the pixel that it goes to, on average over draws.
     double growth() const { return total() > 0.0 ? crowding_ / total() / total() : 0.0; }
 
-    // Makes `count` draws; offset in [0, 1). total() must be above 0.
+    // Makes `count` draws; offset in [0, 1). total() must be above 0. `beside` is called meanwhile, on one thread.
     void operator()(std::size_t count, float offset, const Shares& to, ThreadPool& threads) const {
+        (*this)(count, offset, to, threads, [] {});
+    }
+    template <class Beside>
+    void operator()(std::size_t count, float offset, const Shares& to, ThreadPool& threads, Beside&& beside) const {
         const double scale = static_cast<double>(count) / total();
         // Draw i lies where the cumulative weight passes i, in these units. At a weight: its place, and the draws before it.
         const auto place = [&](double weight) { return weight * scale - offset; };
@@ -110,7 +110,7 @@ public:
                 weight = tile_end;
                 i = end;
             }
-        });
+        }, beside);
         to.start(tiles, count);
     }
 
