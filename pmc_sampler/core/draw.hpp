@@ -78,14 +78,14 @@ inline void Sampler::draw_unbiased(Batch& batch, std::uint64_t size, float passe
 inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passes) {
     const double own_share = (1.0 - config.pool_share) * (1.0 - config.direct_share);
     const auto share_of = [](double share, std::uint64_t n) { return static_cast<std::uint64_t>(std::llround(share * static_cast<double>(n))); };
-    std::vector<std::uint32_t> replaced;
+    replaced_.clear();
     const SystematicDraw beta(film_, passes, threads_, [&] {
-        if (own_share > 0.0) replaced = resample(batch, share_of(own_share, batch_size()));
+        if (own_share > 0.0) resample(batch, share_of(own_share, batch_size()));
     });
     const bool adapts = own_share > 0.0;
-    if (adapts) adapt(batch, replaced);
+    if (adapts) adapt(batch);
     const auto remember = [&] {
-        if (adapts) population_of(batch.number).remember(replaced.size(), [&](std::size_t i) { return replaced[i]; }, memory_);
+        if (adapts) population_of(batch.number).remember(replaced_.size(), [&](std::size_t i) { return replaced_[i]; }, memory_);
     };
     std::uint64_t size = std::min(left, batch_size(beta));
     if (own_share > 0.0) {
@@ -98,7 +98,7 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     const bool known = beta.total() > 0.0;
     const std::uint64_t pool = std::min(pool_share_of(size), size - batch.iteration_samples);
     const std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
-    const std::uint64_t members = known ? replaced.size() - share_of(config.regenerate_pool, replaced.size()) : 0;
+    const std::uint64_t members = known ? replaced_.size() - share_of(config.regenerate_pool, replaced_.size()) : 0;
     member_slots_.resize(members);
     proposals_.direct.resize(direct);
     if (members + direct) {
@@ -108,52 +108,50 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     } else {
         remember();
     }
-    regenerate(batch, replaced);
+    regenerate(batch);
     fill(batch, size - direct);
 }
 
-// Resampling of the population whose turn it is (paper, Figure 2). The members to replace, and in
-// batch.evaluated those of them that are evaluated where they are put.
-inline std::vector<std::uint32_t> Sampler::resample(Batch& batch, std::uint64_t room) {
+// Resampling of the population whose turn it is (paper, Figure 2): the members to replace, and in batch.evaluated those of them that
+// are evaluated where they are put.
+inline void Sampler::resample(Batch& batch, std::uint64_t room) {
     Population& population = population_of(batch.number);
-    std::vector<std::uint32_t> replaced;
     double evaluated_share = config.evaluate_regenerated ? 1.0 : 0.0;
     if (population.members.empty()) {
         const double per_member = config.moves + (config.evaluate_regenerated ? config.eliminate : 0.0);
         const std::uint64_t n = config.population ? config.population : static_cast<std::uint64_t>(static_cast<double>(room) / std::max(per_member, 1e-9));
         population.members.resize(std::min<std::uint64_t>(n, film_.tiling.pixels()));
-        replaced.resize(population.members.size());
-        std::iota(replaced.begin(), replaced.end(), 0u);
+        replaced_.resize(population.members.size());
+        std::iota(replaced_.begin(), replaced_.end(), 0u);
         // A first iteration regenerates all; where the population was sized to fill the batch, no more are evaluated than later.
         if (!config.population) evaluated_share *= config.eliminate;
     } else {
-        replaced = population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number));
+        population.eliminated(config.eliminate, Stream(seed, stream::eliminate, batch.number), replaced_);
     }
     if (evaluated_share >= 1.0) {
-        batch.evaluated = replaced;
+        batch.evaluated = replaced_;
     } else if (evaluated_share > 0.0) {
-        for (std::size_t i = 0; i < replaced.size(); ++i)
+        for (std::size_t i = 0; i < replaced_.size(); ++i)
             if (std::floor(static_cast<double>(i + 1) * evaluated_share) > std::floor(static_cast<double>(i) * evaluated_share))
-                batch.evaluated.push_back(replaced[i]);
+                batch.evaluated.push_back(replaced_[i]);
     }
-    return replaced;
 }
 
 // What the members have learned of the kernels: of all now and then, and of those that are replaced, which is yet to be remembered.
-inline void Sampler::adapt(const Batch& batch, const std::vector<std::uint32_t>& replaced) {
+inline void Sampler::adapt(const Batch& batch) {
     Population& population = population_of(batch.number);
     if (population.iteration++ % config.adapt_alpha_every == 0) {
         const auto each = [](std::size_t i) { return i; };
         population.adapt(population.members.size(), each, config, threads_);
         population.remember(population.members.size(), each, memory_);
     }
-    population.adapt(replaced.size(), [&](std::size_t i) { return replaced[i]; }, config, threads_);
+    population.adapt(replaced_.size(), [&](std::size_t i) { return replaced_[i]; }, config, threads_);
 }
 
 // Puts the replaced members at the pixels that beta gave (member_slots_), the rest of them where the pool says.
-inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced) {
+inline void Sampler::regenerate(const Batch& batch) {
     Population& population = population_of(batch.number);
-    const std::size_t n = replaced.size(), by_beta = member_slots_.size();
+    const std::size_t n = replaced_.size(), by_beta = member_slots_.size();
     if (batch.evaluated.size() == n) {  // where all are evaluated, those that the pool places are samples of its stream
         pool_.take(n - by_beta, [&](std::uint32_t slot, std::uint32_t pass) {
             pool_slots_.push_back(slot);
@@ -175,7 +173,7 @@ inline void Sampler::regenerate(const Batch& batch, const std::vector<std::uint3
                 x += jitter * (2.0f * place.uniform(counter, 2) - 1.0f);
                 y += jitter * (2.0f * place.uniform(counter, 3) - 1.0f);
             }
-            population.place(replaced[i], reflect(x, width), reflect(y, height), memory_);
+            population.place(replaced_[i], reflect(x, width), reflect(y, height), memory_);
         }
     });
 }

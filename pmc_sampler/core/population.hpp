@@ -129,42 +129,42 @@ struct Population {
     std::vector<Member> members;
     std::uint64_t iteration = 0;
 
-    // Members to replace: all but round((1 - eliminate) n) survivors, which are drawn without replacement in proportion to
+    // The members to replace, to `gone`: all but round((1 - eliminate) n) survivors, which are drawn without replacement in proportion to
     // w = var / N_used (section 4.3.1) by the keys of Efraimidis and Spirakis 2006 (doi:10.1016/j.ipl.2005.11.003); members
     // of weight 0 survive only where too few others are left.
-    std::vector<std::uint32_t> eliminated(double share, const Stream& stream) const {
+    void eliminated(double share, const Stream& stream, std::vector<std::uint32_t>& gone) {
         const std::size_t n = members.size();
         const auto survivors = static_cast<std::size_t>(std::llround((1.0 - share) * static_cast<double>(n)));
         if (survivors == 0) {
-            std::vector<std::uint32_t> all(n);
-            std::iota(all.begin(), all.end(), 0u);
-            return all;
+            gone.resize(n);
+            std::iota(gone.begin(), gone.end(), 0u);
+            return;
         }
-        if (survivors >= n) return {};
+        gone.clear();
+        if (survivors >= n) return;
         // log(u) / w, larger is better; without weight, after all others and at random.
-        std::vector<float> key(n), sorted;
+        key_.resize(n);
         for (std::size_t i = 0; i < n; ++i) {
             const float weight = members[i].all.variance() / static_cast<float>(std::max(1u, members[i].rounds));
             const float u = (static_cast<float>(stream.word(static_cast<std::uint32_t>(i)) >> 8) + 0.5f) * 0x1p-24f;
             const float score = weight > 0.0f ? std::log(u) / weight : -std::numeric_limits<float>::infinity();
-            key[i] = score > -std::numeric_limits<float>::max() ? score : -std::numeric_limits<float>::max() * (0.5f + 0.5f * u);
+            key_[i] = score > -std::numeric_limits<float>::max() ? score : -std::numeric_limits<float>::max() * (0.5f + 0.5f * u);
         }
-        sorted = key;
-        const auto last_kept = sorted.begin() + static_cast<std::ptrdiff_t>(survivors - 1);
-        std::nth_element(sorted.begin(), last_kept, sorted.end(), std::greater<>());
+        sorted_ = key_;
+        const auto last_kept = sorted_.begin() + static_cast<std::ptrdiff_t>(survivors - 1);
+        std::nth_element(sorted_.begin(), last_kept, sorted_.end(), std::greater<>());
         const float threshold = *last_kept;
         // Among equal keys the first members stay.
-        auto ties = survivors - static_cast<std::size_t>(std::count_if(key.begin(), key.end(), [&](float k) { return k > threshold; }));
-        std::vector<std::uint32_t> gone(n + 1);
+        auto ties = survivors - static_cast<std::size_t>(std::count_if(key_.begin(), key_.end(), [&](float k) { return k > threshold; }));
+        gone.resize(n + 1);
         std::size_t count = 0;
         for (std::uint32_t i = 0; i < n; ++i) {
-            const bool tied = key[i] == threshold, stays = key[i] > threshold || (tied && ties > 0);
+            const bool tied = key_[i] == threshold, stays = key_[i] > threshold || (tied && ties > 0);
             ties -= tied && ties > 0;
             gone[count] = i;  // overwritten by the next where this one stays: no branch that nobody can predict
             count += !stays;
         }
         gone.resize(count);
-        return gone;
     }
 
     // Section 4.3.3 for n members, the i-th at which(i), of which no two are the same: for those that have seen enough.
@@ -263,6 +263,9 @@ struct Population {
         a.vector(name + ".members", members);
         a.value(name + ".iteration", iteration);
     }
+
+private:
+    std::vector<float> key_, sorted_;  // scratch: memory that is taken anew costs more than what is done with it
 };
 
 }  // namespace pmc

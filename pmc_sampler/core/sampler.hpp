@@ -261,9 +261,9 @@ private:
     std::uint64_t batch_size(const SystematicDraw& beta) const;
     void draw_unbiased(Batch& batch, std::uint64_t size, float passes);
     void draw_adaptive(Batch& batch, std::uint64_t left, float passes);
-    std::vector<std::uint32_t> resample(Batch& batch, std::uint64_t room);
-    void adapt(const Batch& batch, const std::vector<std::uint32_t>& replaced);
-    void regenerate(const Batch& batch, const std::vector<std::uint32_t>& replaced);
+    void resample(Batch& batch, std::uint64_t room);
+    void adapt(const Batch& batch);
+    void regenerate(const Batch& batch);
     void fill(Batch& batch, std::uint64_t size, std::span<const std::uint32_t> given = {});
 
     ThreadPool threads_;
@@ -295,7 +295,7 @@ private:
 
     // Scratch of one draw and one tell.
     Proposals proposals_;
-    std::vector<std::uint32_t> pool_slots_, pool_passes_, member_slots_;
+    std::vector<std::uint32_t> pool_slots_, pool_passes_, member_slots_, replaced_;
     Buffer<std::uint32_t> drawn_slots_;
 };
 
