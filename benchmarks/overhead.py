@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -45,20 +46,20 @@ def main(arguments: list[str] | None = None) -> int:
         "",
         f"`python benchmarks/overhead.py -o benchmarks/`, {benchmark.machine()}, {options.threads} threads.",
         "",
-        f"Nanoseconds per sample at {options.spp} samples per pixel, the radiance being random numbers at "
-        f"hand: median of {options.repeats} interleaved runs, and the extremes of the sum. *Adapting*: "
-        "batches after the initial pool samples alone.",
+        "Nanoseconds per sample, the radiance being random numbers at hand: median of "
+        f"{options.repeats} interleaved runs, and the extremes of the sum. With few samples a pixel the first touch "
+        "of the memory is a part of it. *Adapting*: batches after the initial pool samples alone.",
         "",
-        "| size | method | ask | tell | ask + tell | adapting |",
-        "|---|---|---|---|---|---|",
+        "| size | spp | method | ask | tell | ask + tell | adapting |",
+        "|---|---|---|---|---|---|---|",
     ]
-    for width, height in options.sizes:
+    for (width, height), spp in product(options.sizes, options.spp):
         costs: dict[str, list[Cost]] = {name: [] for name in CONFIGS}
         for repeat in range(options.repeats):
             for name, config in CONFIGS.items():
-                costs[name].append(measure(width, height, config, options.spp, options.threads, repeat))
-                print(f"{width}x{height}, {name}: {costs[name][-1].total:.1f} ns a sample", file=sys.stderr)
-        lines += [row(f"{width}x{height}", name, found) for name, found in costs.items()]
+                costs[name].append(measure(width, height, config, spp, options.threads, repeat))
+                print(f"{width}x{height}, {spp} spp, {name}: {costs[name][-1].total:.1f} ns a sample", file=sys.stderr)
+        lines += [row(f"{width}x{height}", spp, name, found) for name, found in costs.items()]
     lines += ["", f"The film takes {_core.film_bytes_per_pixel} bytes a pixel."]
     if options.renderer:
         lines += ["", share_of_render(options.renderer, options.repeats)]
@@ -107,11 +108,12 @@ def prepared(largest: int, seed: int) -> Iterator[np.ndarray]:
         yield from arrays
 
 
-def row(image: str, name: str, costs: list[Cost]) -> str:
+def row(image: str, spp: int, name: str, costs: list[Cost]) -> str:
     """A line of the table."""
     totals = [cost.total for cost in costs]
     cells = [
         image,
+        str(spp),
         name,
         *(f"{statistics.median(getattr(cost, part) for cost in costs):.1f}" for part in ("ask", "tell")),
         f"{statistics.median(totals):.1f} ({min(totals):.1f} to {max(totals):.1f})",
@@ -140,7 +142,7 @@ def _options(arguments: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="DIR", help="folder of overhead.md")
     parser.add_argument("--sizes", nargs="+", type=size, default=SIZES, metavar="WxH")
-    parser.add_argument("--spp", type=int, default=16)
+    parser.add_argument("--spp", nargs="+", type=int, default=(16, 64), metavar="N")
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--renderer", default="mitsuba", help="for the share of a render; empty for none")

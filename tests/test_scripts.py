@@ -65,8 +65,8 @@ def test_the_benchmark_of_overhead(script: Callable[[str], ModuleType], tmp_path
     assert script("benchmarks/overhead.py").main(words) == 0
     assert os.listdir(tmp_path) == ["overhead.md"]
     page = (tmp_path / "overhead.md").read_text()
-    assert "| 64x64 | default |" in page
-    assert "| 64x64 | uniform |" in page
+    assert "| 64x64 | 6 | default |" in page
+    assert "| 64x64 | 6 | uniform |" in page
     assert "bytes a pixel" in page
 
 
