@@ -66,7 +66,7 @@ class Executor:
 
 class Nanothread(Executor):
     def __init__(
-        self, pool_size: int, pool_thread_id: int, task_submit_dep: int, task_wait_and_release: int
+        self, pool_size: int, pool_thread_id: int, task_submit_dep: int, task_release: int
     ) -> None: ...
 
 class Sampler:

@@ -78,7 +78,10 @@ public:
         threads.ranges(tiling.tiles(), 4, [&](std::size_t first, std::size_t last) {
             Moments moments;
             for (auto tile = static_cast<std::uint32_t>(first); tile < last; ++tile) {
-                copy_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, tile * Tiling::area, (tile + 1) * Tiling::area, moments);
+                const std::uint32_t begin = tile * Tiling::area, end = begin + Tiling::area;
+                // Where no samples fell nothing is written: memory comes into being where it is touched.
+                if (std::all_of(&sums[begin], &sums[begin] + Tiling::area, [](const PixelSums& p) { return p.n == 0; })) continue;
+                copy_to_pool(sums.data(), pool_mean.data(), unbiased_ ? pool_m2.data() : nullptr, begin, end, moments);
                 if (live_) note_scores(moments);
             }
         });

@@ -72,7 +72,7 @@ public:
         task_ = &task;
         try {
             call_for_help();
-        } catch (const std::exception&) {
+        } catch (...) {
         }
         drain(task, 0);
         task_ = nullptr;  // whoever comes only now is not waited for
@@ -207,10 +207,10 @@ private:
             });
             return;
         }
-        // Threads start with the first work for them: a sampler that is only asked about its settings has none. Where the system
-        // refuses one, those that there are do its work.
-        while (workers_.size() + 1 < size_) workers_.emplace_back([this, thread = static_cast<unsigned>(workers_.size()) + 1] { serve(thread); });
         if (awake_until_ != std::numeric_limits<Clock::rep>::max()) wake();
+        // Threads start with the first work for them: a sampler that is only asked about its settings has none. Where the system
+        // refuses one, those that there are, which are called already, do its work.
+        while (workers_.size() + 1 < size_) workers_.emplace_back([this, thread = static_cast<unsigned>(workers_.size()) + 1] { serve(thread); });
     }
     void serve(unsigned thread) {
         std::uint64_t helped = 0;

@@ -74,6 +74,30 @@ void part_later(const pmc::Config& config) {
     }
 }
 
+// A large film takes memory where samples fall, and so does what is made of it.
+void part_sparsely() {
+#if PMC_HUGE_PAGES
+    at = "one sample in 1024x1024 pixels";
+    pmc::ThreadPool threads(2);
+    pmc::Film film(1024, 1024, {}, 0);
+    pmc::Batch batch;
+    batch.pixel.resize(1);
+    batch.slot.resize(1);
+    batch.tag.resize(1);
+    batch.slot[0] = 5;
+    batch.tag[0] = pmc::Tag::pool | pmc::Tag::no_kernel;
+    const float radiance[3] = {1.0f, 2.0f, 3.0f};
+    film.add(batch, radiance, true, threads);
+    film.part(threads);
+    require(film.pool_mean[5].get(2) == 3.0, "the pool's mean is that of its samples");
+    const std::size_t page = static_cast<std::size_t>(sysconf(_SC_PAGESIZE)), bytes = film.pool_mean.size() * sizeof(film.pool_mean[0]);
+    std::vector<unsigned char> resident(bytes / page);
+    require(mincore(film.pool_mean.data(), resident.size() * page, resident.data()) == 0, "the system tells");
+    const auto pages = std::count_if(resident.begin(), resident.end(), [](unsigned char r) { return r & 1; });
+    require(pages > 0 && static_cast<std::size_t>(pages) * page <= std::size_t(2) << 20, "memory comes into being where samples fall");
+#endif
+}
+
 // All that a sampler gives, of radiance whose squares are denormal numbers.
 std::vector<float> sampled(pmc::Sampler& sampler, bool unusual) {
     std::fenv_t before;
@@ -132,6 +156,7 @@ void test() {
         if (k % 2) config.estimator = pmc::Estimator::unbiased;
         part_later(config);
     }
+    part_sparsely();
     in_unusual_arithmetic(false);
     in_unusual_arithmetic(true);
 }

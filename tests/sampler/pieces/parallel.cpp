@@ -21,10 +21,10 @@
 #include <dlfcn.h>
 #include <pthread.h>
 
-// The system's, unless it is to refuse.
-static std::atomic<bool> refuses_threads{false};
+// The system's, as often as is granted.
+static std::atomic<int> threads_granted{1 << 20};
 extern "C" int pthread_create(pthread_t* thread, const pthread_attr_t* attributes, void* (*start)(void*), void* data) {
-    if (refuses_threads) return EAGAIN;
+    if (threads_granted-- <= 0) return EAGAIN;
     static const auto next = reinterpret_cast<decltype(&pthread_create)>(dlsym(RTLD_NEXT, "pthread_create"));
     return next(thread, attributes, start, data);
 }
@@ -91,7 +91,10 @@ private:
 class Refusing : public pmc::Executor {
 public:
     unsigned size() const override { return 2; }
-    void submit(unsigned, std::function<void(unsigned thread)>) override { throw std::bad_alloc(); }
+    void submit(unsigned, std::function<void(unsigned thread)>) override {
+        if (below(2)) throw std::bad_alloc();
+        throw 1;
+    }
 };
 
 using Calls = std::vector<std::atomic<unsigned>>;
@@ -196,9 +199,15 @@ void test() {
     }
 #if defined(__linux__)
     pmc::ThreadPool refused(4);
-    refuses_threads = true;
+    threads_granted = 0;
     drive(refused, "threads that the system refuses", 5);
-    refuses_threads = false;
+    threads_granted = 1;
+    for (int k = 0; k < 5; ++k) {
+        at = "the one thread that the system grants, run " + std::to_string(k);
+        at_once(refused);
+        std::this_thread::sleep_for(std::chrono::milliseconds(2));  // until it sleeps
+    }
+    threads_granted = 1 << 20;
     drive(refused, "threads that the system refused until now", 5);
     at_once(refused);
 #endif
