@@ -65,9 +65,7 @@ class Executor:
     def size(self) -> int: ...
 
 class Nanothread(Executor):
-    def __init__(
-        self, pool_size: int, pool_thread_id: int, task_submit_dep: int, task_release: int
-    ) -> None: ...
+    def __init__(self, pool_size: int, pool_thread_id: int, task_submit_dep: int, task_release: int) -> None: ...
 
 class Sampler:
     def __init__(
