@@ -196,5 +196,14 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+def command() -> int:
+    """The demo, with one sentence and exit status 2 for settings that cannot be."""
+    try:
+        return main()
+    except (ValueError, OSError) as error:
+        print(f"demo: {error}", file=sys.stderr)
+        return 2
+
+
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command())

@@ -60,6 +60,17 @@ def test_the_demo(script: Callable[[str], ModuleType], tmp_path: Path, capsys: p
     assert np.isclose(crop.max(), lower.max(), rtol=1e-3)
 
 
+def test_a_demo_that_cannot_be_says_why(
+    script: Callable[[str], ModuleType],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.setattr("sys.argv", ["demo.py", "-o", str(tmp_path), "--renderer", "foo"])
+    assert script("examples/demo.py").command() == 2
+    assert capsys.readouterr().err.splitlines()[-1].startswith("demo: no renderer is called 'foo'")
+
+
 def test_the_benchmark_of_overhead(script: Callable[[str], ModuleType], tmp_path: Path) -> None:
     words = ["-o", str(tmp_path), "--sizes", "64x64", "--spp", "6", "--repeats", "2", "--renderer", ""]
     assert script("benchmarks/overhead.py").main(words) == 0
