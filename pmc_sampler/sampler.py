@@ -316,12 +316,7 @@ def render(
 
 
 def sampler_for(
-    radiance: Radiance,
-    width: int,
-    height: int,
-    budget: Budget,
-    config: Config | None = None,
-    seed: int = 0,
+    radiance: Radiance, width: int, height: int, budget: Budget, config: Config | None = None, seed: int = 0
 ) -> Sampler:
     """A sampler for what a renderer says of itself: its extra channels (`aovs`), its `threads`, if it is `signed`."""
     aovs, signed = getattr(radiance, "aovs", 0), getattr(radiance, "signed", False)

@@ -45,8 +45,8 @@ def make(method: Mapping[str, Any], radiance: Any, budget: Budget, seed: int) ->
 
     ``method``: ``sampler`` is one of :data:`NAMES`; all else are that sampler's settings: of "pmc" and "uniform" as
     ``Config.from_dict`` takes them, of the others the arguments of their rule (:class:`Greedy`,
-    :class:`ErrorThreshold`, :class:`Neyman`) and ``initial_spp`` (:class:`AllocatingSampler`). Raises ``ValueError`` or
-    ``TypeError`` with a sentence that says what came and what was expected.
+    :class:`ErrorThreshold`, :class:`Neyman`) and ``initial_spp`` (:class:`AllocatingSampler`). Raises ``ValueError``
+    or ``TypeError`` with a sentence that says what came and what was expected.
     """
     settings = dict(method)
     name = settings.pop("sampler", None)
@@ -55,8 +55,7 @@ def make(method: Mapping[str, Any], radiance: Any, budget: Budget, seed: int) ->
     width, height = int(radiance.width), int(radiance.height)
     if name in ("pmc", "uniform"):
         preset = {"preset": "uniform"} if name == "uniform" else {}
-        config = config_for(radiance, {**preset, **settings})
-        return sampler_for(radiance, width, height, budget, config, seed)
+        return sampler_for(radiance, width, height, budget, config_for(radiance, {**preset, **settings}), seed)
     _check_filter(name, radiance, settings.pop("filter", None))
     initial_spp = settings.pop("initial_spp", None)
     try:

@@ -82,13 +82,9 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     const SystematicDraw beta(film_, passes, threads_, [&] {
         if (own_share > 0.0) resample(batch, share_of(own_share, batch_size()));
     });
-    const bool adapts = own_share > 0.0;
-    if (adapts) adapt(batch);
-    const auto remember = [&] {
-        if (adapts) population_of(batch.number).remember(replaced_.size(), [&](std::size_t i) { return replaced_[i]; }, memory_);
-    };
     std::uint64_t size = std::min(left, batch_size(beta));
     if (own_share > 0.0) {
+        adapt(batch);
         const std::uint64_t own = population_of(batch.number).members.size() * config.moves + batch.evaluated.size();
         // A population whose members neither move nor are replaced this time leaves the batch to beta and the pool.
         if (config.population && own) size = std::min(left, static_cast<std::uint64_t>(std::llround(static_cast<double>(own) / own_share)));
@@ -99,6 +95,7 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     const std::uint64_t pool = std::min(pool_share_of(size), size - batch.iteration_samples);
     const std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
     const std::uint64_t members = known ? replaced_.size() - share_of(config.regenerate_pool, replaced_.size()) : 0;
+    const auto remember = [&] { population_of(batch.number).remember(replaced_.size(), [&](std::size_t i) { return replaced_[i]; }, memory_); };
     member_slots_.resize(members);
     proposals_.direct.resize(direct);
     if (members + direct) {
