@@ -5,8 +5,8 @@ instances have `width` and `height`, and are called with a `Batch` for the radia
 3 + aovs), float32, linear RGB. A class method `probe()`, if it has one, returns a line about what it runs on,
 or raises RuntimeError with what is missing; a class method `version()`, if it has one, names what its images
 depend on; a method `native(**settings)`, if its instances have one, renders the whole image by a way of its own
-to choose samples, for comparison, and returns `mean`, `samples` and `seconds`. Those of the project are found
-without an entry point, too.
+to choose samples, for comparison, and returns `mean`, `samples` and `seconds`; an attribute `remark`, if an instance
+has one, is a sentence that the command line shows its user. Those of the project are found without an entry point, too.
 """
 
 from __future__ import annotations

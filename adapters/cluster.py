@@ -19,7 +19,7 @@ PATIENCE = 60.0
 """Seconds in which another worker may come where none is left."""
 _LOOK = 2.0  # seconds from one look at the workers to the next
 _SMALLEST = 4096  # samples, below which a worker is not worth the way
-_DESCRIBED = ("width", "height", "aovs", "aov_names", "signed", "filter")
+_DESCRIBED = ("width", "height", "aovs", "aov_names", "signed", "filter", "remark")
 
 
 class ClusterRenderer:

@@ -61,9 +61,8 @@ def check_writable(path: str | os.PathLike[str], suffix: str = ".exr") -> Path:
     if target.suffix.lower() != suffix:
         raise ImageError(f"the output must be a {suffix} file; {str(target)!r} is none.")
     if not target.parent.is_dir():
-        raise ImageError(
-            f"the folder {str(target.parent)!r} of the output does not exist; make it first or name another."
-        )
+        trouble = "is a file; name" if target.parent.exists() else "does not exist; make it first or name"
+        raise ImageError(f"the folder {str(target.parent)!r} of the output {trouble} another.")
     if target.is_dir():
         raise ImageError(f"the output {str(target)!r} is a folder; name a file in it.")
     probe = _beside(target)

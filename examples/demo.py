@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pmc_sampler.eval import images, metrics, references
 from pmc_sampler.eval.display import display
+from skimage.filters import gaussian
 
 from pmc_sampler import Budget, Config, Result, adapters, render
 from pmc_sampler.cli.arguments import size
+from pmc_sampler.cli.progress import progress
 
 SCENE = "cornell-box"
 METHODS = {"pt": ("path tracing", Config.uniform()), "pmc": ("PMC", Config())}
@@ -41,14 +43,16 @@ def main(words: list[str] | None = None) -> int:
         say(f"rendering by {title}: {options.spp} samples per pixel at {width}x{height}")
         results[name] = render(radiance, width, height, Budget(spp=options.spp), config, seed=options.seed)
     say(f"rendering a reference of {options.reference_spp} samples per pixel")
-    reference = references.obtain(
-        radiance,
-        width,
-        height,
-        options.reference_spp,
-        references.identify(SCENE, options.renderer, adapters.version(options.renderer)),
-        cache=options.output / "reference",
-    )
+    with progress("reference") as shown:
+        reference = references.obtain(
+            radiance,
+            width,
+            height,
+            options.reference_spp,
+            references.identify(SCENE, options.renderer, adapters.version(options.renderer)),
+            cache=options.output / "reference",
+            progress=lambda share: shown(share, ""),
+        )
     write_images(options.output, results, reference)
     errors = {name: errors_of(result, reference) for name, result in results.items()}
     contact_sheet(options.output / "demo.png", results, reference, errors)
@@ -60,13 +64,19 @@ def main(words: list[str] | None = None) -> int:
 
 
 def arguments(words: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("-o", "--output", type=Path, default=Path("demo"), metavar="DIR")
-    parser.add_argument("--renderer", default="opencl")
-    parser.add_argument("--size", type=size, default=(320, 240), metavar="WxH")
-    parser.add_argument("--spp", type=int, default=64)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--reference-spp", type=int, default=1024)
+    parser = argparse.ArgumentParser(
+        description=__doc__.splitlines()[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
+    )
+    parser.add_argument(
+        "-o", "--output", type=Path, default=Path("demo"), metavar="DIR", help="made where it is missing"
+    )
+    parser.add_argument("--renderer", default="opencl", help="as `pmc-sampler renderers` lists them")
+    parser.add_argument("--size", type=size, default=(320, 240), metavar="WxH", help="of the image, in pixels")
+    parser.add_argument("--spp", type=int, default=64, help="samples per pixel, for each method")
+    parser.add_argument("--seed", type=int, default=1, help="of both methods' random numbers")
+    parser.add_argument(
+        "--reference-spp", type=int, default=1024, help="a multiple of 16; kept in DIR for the next time"
+    )
     return parser.parse_args(words)
 
 
@@ -77,7 +87,8 @@ def files() -> dict[str, str]:
         "reference.exr": "the reference, with its variance; for `pmc-sampler compare`",
         "pt.png, pmc.png, reference.png": "the same, tone-mapped",
         "caustic-{pt,pmc,reference}.png": "the caustic, enlarged four times",
-        "strategy.png": f"the radius that proposed ({radii()}); its brightness is the sample density",
+        "strategy.png": f"which radius proposed the samples ({radii()}), brighter where there are more",
+        "reference/": "the reference as the next run of the demo reads it",
     }
 
 
@@ -110,10 +121,15 @@ def enlarged(image: NDArray[np.float32], factor: int = 4) -> NDArray[np.float32]
 
 
 def strategy_picture(result: Result) -> NDArray[np.float32]:
-    """The strategy image scaled so that the densest half per cent of pixels is at full brightness."""
-    counts = result.film.strategy.astype(np.float32)
-    top = np.quantile(counts.max(axis=2), 0.995)
-    return np.sqrt(np.clip(counts / max(float(top), 1e-6), 0.0, 1.0))
+    """The strategy image so that all of it can be seen: the densities span a thousandfold, so brightness is their
+    logarithm, and most pixels have a few samples alone, so the colour is that of a neighbourhood.
+    """
+    strategy = result.film.strategy
+    density = np.log(strategy.sum(axis=2, keepdims=True) + 1e-6)
+    low, high = np.quantile(density, (0.01, 0.995))
+    colour = gaussian(strategy, sigma=2, channel_axis=2)
+    colour /= colour.max(axis=2, keepdims=True) + 1e-9
+    return np.clip(colour * (density - low) / (high - low + 1e-6), 0.0, 1.0)
 
 
 def radii() -> str:
@@ -151,7 +167,7 @@ def contact_sheet(
         axes[1, column].imshow(display(crop(image)), interpolation="nearest")
         axes[1, column].set_title(f"{titles[name]}: the caustic")
     axes[0, 3].imshow(strategy_picture(results["pmc"]), interpolation="nearest")
-    axes[0, 3].set_title(f"kernel used: {radii()}", fontsize="medium")
+    axes[0, 3].set_title(f"radius of the kernel:\n{radii()}")
     counts = results["pmc"].film.samples
     density = axes[1, 3].imshow(counts, interpolation="nearest", norm="log", cmap="magma")
     axes[1, 3].set_title(f"samples per pixel: {counts.min()} to {counts.max()}")

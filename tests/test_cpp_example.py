@@ -107,12 +107,13 @@ def test_it_measures_its_own_error(spheres: Path, tmp_path: Path) -> None:
     ("arguments", "status", "sentence"),
     [
         ([], 2, "expected a width, a height, samples a pixel and a file"),
-        (["0", "9", "4", "a.pfm"], 2, "WIDTH is '0': expected a number from 1"),
+        (["0", "9", "4", "a.pfm"], 2, "WIDTH is '0': expected a number from 1 to 65535\n"),
         (["9", "x", "4", "a.pfm"], 2, "HEIGHT is 'x': expected a number"),
         (["9", "9", "nan", "a.pfm"], 2, "SPP is 'nan'"),
         (["9", "9", "4", "a.pfm", "--sharp"], 2, "unknown option '--sharp'"),
         (["9", "9", "4", "a.pfm", "--seed"], 2, "--seed expects a number after it"),
-        (["9", "9", "4", "missing/a.pfm"], 1, "cannot write 'missing/a.pfm'"),
+        (["60000", "60000", "4", "missing/a.pfm"], 2, "cannot write 'missing/a.pfm': expected a file in a folder"),
+        (["9", "9", "4", "."], 2, "cannot write '.'"),
     ],
 )
 def test_bad_arguments(arguments: list[str], status: int, sentence: str, spheres: Path, tmp_path: Path) -> None:
@@ -121,6 +122,20 @@ def test_bad_arguments(arguments: list[str], status: int, sentence: str, spheres
     assert sentence in process.stderr
     assert ("usage: spheres" in process.stderr) == (status == 2)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_that_is_there_stays_where_the_new_one_cannot_be_written(spheres: Path, tmp_path: Path) -> None:
+    """As where a disk is full: by a limit on the size of files."""
+    (tmp_path / "a.pfm").write_text("of before")
+    process = subprocess.run(
+        ["/bin/sh", "-c", 'trap "" XFSZ; ulimit -f 1; exec "$0" 60 60 1 a.pfm', spheres],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        check=False,
+    )
+    assert (process.returncode, process.stderr) == (1, "spheres: cannot write 'a.pfm'\n")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.pfm": "of before"}
 
 
 def test_there_is_no_python_in_it(spheres: Path, checkout: Path) -> None:

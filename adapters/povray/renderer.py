@@ -24,6 +24,10 @@ from .worker import Pool
 __all__ = ["PovRayRenderer"]
 
 _SIZE = (640, 480)
+_DIRECT = (
+    "exported to POV-Ray, the scene is lit directly and through clear glass only, so it is darker than in the other "
+    "renderers: radiosity=true adds light between surfaces, photons=100000 caustics (--set on the command line)"
+)
 _BATCH = 1 << 17  # rays: a process for each part of a batch has to start and read the scene, whatever the part's size
 
 
@@ -70,6 +74,8 @@ class PovRayRenderer:
         The `Camera`.
     agreement
         How far its small image agrees with the scene's own, a `check.Agreement`; None if it was not checked.
+    remark
+        What the user should know of the image, a sentence; empty if there is nothing.
     clamped
         In how many samples so far radiance was infinite, beyond half floats, and is 65504 instead.
     seconds
@@ -119,6 +125,7 @@ class PovRayRenderer:
         self._made = program.LastingFolder()
         folder = self._made.path
         self._filter: dict[str, Any] = {"filter": "box", "filter_radius": 0.5}
+        self.remark = ""
         file, given, size = self._named(scene, size, options, radiosity, photons)
         self.width, self.height = size if size is not None else (given.width or _SIZE[0], given.height or _SIZE[1])
         check_size((self.width, self.height))
@@ -242,12 +249,18 @@ class PovRayRenderer:
         """The scene's file, its options and the size, where one is settled."""
         if isinstance(scene, str | os.PathLike):
             file = Path(scene)
+            own = file.suffix.lower() in (".pov", ".inc", ".sdl", ".ini") or os.fspath(scene).endswith("]")
+            if own and (radiosity or photons):
+                raise ValueError(
+                    f"radiosity and photons are options for scenes that are exported to POV-Ray; {scene} is POV-Ray's "
+                    "own: turn them on in its global_settings"
+                )
             if file.suffix.lower() == ".ini" or os.fspath(scene).endswith("]"):
                 read = options.read([os.fspath(scene), *given])
                 if read.scene is None:
                     raise ValueError(f"the INI file {scene} names no scene (Input_File_Name=SCENE.pov)")
                 return read.scene, read, size
-            if file.suffix.lower() in (".pov", ".inc", ".sdl"):
+            if own:
                 return file, options.read(given), size
         from ..opencl.load import scene_of  # not above: it needs what our OpenCL tracer needs
         from .export import export
@@ -255,6 +268,8 @@ class PovRayRenderer:
         made = scene_of(scene, size)
         self._filter = dict(made.filter)
         file = export(made, self._made.path / "exported", radiosity=radiosity, photons=photons)
+        if not (radiosity or photons):
+            self.remark = _DIRECT
         return file, options.read(given), (made.camera.width, made.camera.height)
 
 

@@ -2,7 +2,9 @@
 #include <chrono>
 #include <cstdio>
 #include <cstdlib>
+#include <filesystem>
 #include <fstream>
+#include <sstream>
 #include <stdexcept>
 #include <string>
 #include <utility>
@@ -69,14 +71,28 @@ Render render(const Options& options, double spp, std::uint64_t seed, bool unifo
     return result;
 }
 
+// Written beside the output and renamed, so that a file that is there stays whole until the new one is.
+std::string beside(const std::string& output) { return output + ".part"; }
+
+// Before hours of rendering, not after.
+void check_writable(const std::string& output) {
+    if (std::filesystem::is_directory(output) || !std::ofstream(beside(output)))
+        throw std::invalid_argument("cannot write '" + output + "': expected a file in a folder that exists and takes files");
+    std::filesystem::remove(beside(output));
+}
+
 // Portable float map: rows from the bottom up, little-endian.
 void write_pfm(const Options& options, const std::vector<float>& image) {
-    std::ofstream file(options.output, std::ios::binary);
+    std::ofstream file(beside(options.output), std::ios::binary);
     file << "PF\n" << options.width << ' ' << options.height << "\n-1.0\n";
     const std::size_t row = 3 * std::size_t(options.width);
     for (std::size_t y = options.height; y-- > 0;) file.write(reinterpret_cast<const char*>(&image[y * row]), static_cast<std::streamsize>(row * sizeof(float)));
     file.close();
-    if (!file) throw std::runtime_error("cannot write '" + options.output + "'");
+    if (!file) {
+        std::filesystem::remove(beside(options.output));
+        throw std::runtime_error("cannot write '" + options.output + "'");
+    }
+    std::filesystem::rename(beside(options.output), options.output);
 }
 
 // Mean squared error, and that of luminance in units of the just noticeable difference (white at 100 cd/m2).
@@ -95,8 +111,11 @@ void compare(const std::vector<float>& test, const std::vector<float>& truth) {
 double number(const char* text, const char* name, double low, double high) {
     char* end = nullptr;
     const double value = std::strtod(text, &end);
-    if (end == text || *end || !(value >= low && value <= high))
-        throw std::invalid_argument(std::string(name) + " is '" + text + "': expected a number from " + std::to_string(low) + " to " + std::to_string(high));
+    if (end == text || *end || !(value >= low && value <= high)) {
+        std::ostringstream sentence;
+        sentence << name << " is '" << text << "': expected a number from " << low << " to " << high;
+        throw std::invalid_argument(sentence.str());
+    }
     return value;
 }
 
@@ -132,6 +151,7 @@ Options parse(int argc, char** argv) {
 int main(int argc, char** argv) {
     try {
         const Options options = parse(argc, argv);
+        check_writable(options.output);
         const Render result = render(options, options.spp, options.seed, options.uniform);
         write_pfm(options, result.image);
         std::printf("samples %llu\nseconds_renderer %.3f\nseconds_sampler %.3f\n", static_cast<unsigned long long>(result.samples), result.renderer, result.sampler);

@@ -67,6 +67,8 @@ def _render(options: argparse.Namespace, resources: ExitStack, began: float) -> 
             job = _job(options, output, resources)
         if asked():
             raise CommandError("interrupted before the first sample, so no image was written.", INTERRUPTED)
+        if remark := getattr(job.radiance, "remark", ""):
+            print(f"pmc-sampler render: note: {remark}.", file=sys.stderr)
         setup = time.perf_counter() - began
         job.seconds["setup"] += setup
         job.sampler.add_elapsed(setup)

@@ -83,7 +83,7 @@ def test_unreadable_images_are_refused(broken: str, picture: np.ndarray, tmp_pat
     [
         ("a.png", ".exr file"),
         ("none/a.exr", "does not exist"),
-        ("file/a.exr", "does not exist"),
+        ("file/a.exr", "file' of the output is a file; name another"),
         ("folder.exr", "is a folder"),
         ("/proc/a.exr", "no file can be written"),
     ],

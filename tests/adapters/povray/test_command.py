@@ -128,3 +128,19 @@ def test_only_rendering_takes_options_of_a_renderer(run: Any) -> None:
     status, _, err = run("scenes -- +K1")
     assert status == 2
     assert "scenes takes no options of a renderer: '+K1'" in err
+
+
+@pytest.mark.needs("pyopencl")
+def test_an_exported_scene_without_radiosity_says_that_it_is_darker(run: Any) -> None:
+    """In one sentence, once; a scene that is POV-Ray's own says nothing and takes no such option."""
+    status, _, err = run("render cornell-box --renderer povray --size 8x6 --spp 1 -o flat.exr")
+    assert status == 0, err
+    assert err.count("note: exported to POV-Ray, the scene is lit directly") == 1
+    status, _, err = run("render cornell-box --renderer povray --size 8x6 --spp 1 -o flat.exr --set photons=100")
+    assert (status, err) == (0, "")
+    status, _, err = run("render flat.pov --size 4x3 --spp 1")
+    assert (status, err) == (0, "")
+    for option in ("radiosity=true", "photons=100"):
+        status, _, err = run(f"render flat.pov --size 4x3 --spp 1 --set {option}")
+        assert status == 2
+        assert "options for scenes that are exported to POV-Ray; flat.pov is POV-Ray's own" in err
