@@ -26,7 +26,7 @@ struct Proposals {
     Buffer<std::uint8_t> tag;
     Buffer<std::uint32_t> pass;  // of the last pass.size() proposals
     const Pool::Stretch* pool = nullptr;
-    Buffer<std::uint32_t> direct, direct_starts;  // slots, and how many come before each tile (Shares)
+    Buffer<std::uint32_t> direct, direct_starts;  // slots, and how many come before each tile
 };
 
 // The points of a pixel's low-discrepancy sequence are shared out once and for all: the first `reserved` are the pool's, a pass

@@ -69,8 +69,7 @@ inline void Sampler::draw_unbiased(Batch& batch, std::uint64_t size, float passe
         if (!counts[colour]) continue;
         film_.select(colour);
         const float offset = Stream(seed, stream::offset, batch.number).uniform(colour);
-        const Shares all(counts[colour], 0, drawn_slots_.data() + colour * counts[0], nullptr, nullptr);
-        SystematicDraw(film_, passes, threads_)(counts[colour], offset, all, threads_);
+        SystematicDraw(film_, passes, threads_)(counts[colour], offset, drawn_slots_.data() + colour * counts[0], nullptr, threads_, [] {});
     }
     fill(batch, size, drawn_slots_.span());
 }
@@ -96,15 +95,20 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     const std::uint64_t direct = known ? size - batch.iteration_samples - pool : 0;
     const std::uint64_t members = known ? replaced_.size() - share_of(config.regenerate_pool, replaced_.size()) : 0;
     const auto remember = [&] { population_of(batch.number).remember(replaced_.size(), [&](std::size_t i) { return replaced_[i]; }, memory_); };
-    member_slots_.resize(members);
+    const Stream offset(seed, stream::offset, batch.number);
     proposals_.direct.resize(direct);
-    if (members + direct) {
+    if (direct) {
         proposals_.direct_starts.resize(film_.tiling.tiles() + 1);
-        const Shares both(members + direct, members, proposals_.direct.data(), member_slots_.data(), proposals_.direct_starts.data());
-        beta(members + direct, Stream(seed, stream::offset, batch.number).uniform(0), both, threads_, remember);
+        beta(direct, offset.uniform(0), proposals_.direct.data(), proposals_.direct_starts.data(), threads_, remember);
     } else {
         remember();
     }
+    // Members are put where samples go, evenly spaced among these: a draw of their own is worth it where there are too few of them.
+    member_slots_.resize(members);
+    if (members > direct)
+        beta(members, offset.uniform(1), member_slots_.data(), nullptr, threads_, [] {});
+    else
+        for (std::size_t i = 0; i < members; ++i) member_slots_[i] = proposals_.direct[(2 * i + 1) * direct / (2 * members)];
     regenerate(batch);
     fill(batch, size - direct);
 }

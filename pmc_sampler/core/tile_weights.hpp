@@ -52,30 +52,29 @@ PMC_MULTIVERSION inline double crowding(const TileWeights& w) {
     return total;
 }
 
-// How often a tile's pixels are drawn. Draws lie at the whole numbers from 0 on of `scale` times the running sum of weights, which
-// is `place`, above -1, at the head of the first column and goes down one column after the other. drawn: a bit for each pixel, 64 in
-// a word, set where it is drawn at all. There are no more than `most` draws.
+// How often a tile's pixels are drawn. Draws lie where `scale` times the running sum of weights, which is `place`, from 0 on and below 1,
+// at the head of the first column and goes down one column after the other, comes to a whole number. drawn: a bit for each pixel,
+// 64 in a word, set where it is drawn at all. There are no more than `most` draws.
 PMC_MULTIVERSION inline void count_draws(const TileWeights& w, double scale, double place, double most, std::int32_t* counts, std::uint64_t* drawn) {
-    double at[Tiling::side], up_to[Tiling::side];
-    std::int32_t before[Tiling::side];
+    using Row = float __attribute__((vector_size(Tiling::side * sizeof(float))));
+    using Counts = std::int32_t __attribute__((vector_size(Tiling::side * sizeof(std::int32_t))));
+    // Each column from the last whole number before its head: floats suffice for what is left, and must not round it up to the next.
+    constexpr float below_one = 1.0f - 0x1p-24f;
+    Row at, up_to;
     for (std::uint32_t c = 0; c < Tiling::side; ++c) {
-        at[c] = place;
-        place += scale * static_cast<double>(w.column[c]);
-        up_to[c] = place;
+        const auto before = static_cast<double>(static_cast<std::int64_t>(place));
+        at[c] = std::min(static_cast<float>(place - before), below_one);
+        place = c + 1 < Tiling::side ? std::min(place + scale * static_cast<double>(w.column[c]), most) : most;
+        up_to[c] = static_cast<float>(static_cast<double>(static_cast<std::int64_t>(place)) - before);
     }
-    up_to[Tiling::side - 1] = most;
-    for (double& draws : up_to) draws = std::min(std::max(std::ceil(draws), 0.0), most);
-    before[0] = 0;
-    for (std::uint32_t c = 1; c < Tiling::side; ++c) before[c] = static_cast<std::int32_t>(up_to[c - 1]);
+    Counts until = {};
     for (std::uint32_t row = 0; row < Tiling::side; ++row) {
-        for (std::uint32_t c = 0; c < Tiling::side; ++c) {
-            at[c] += scale * static_cast<double>(w.pixel[row * Tiling::side + c]);
-            const double end = std::min(at[c], up_to[c]);
-            const auto whole = static_cast<std::int32_t>(end);
-            const std::int32_t now = whole + (static_cast<double>(whole) < end);  // the numbers below `end`
-            counts[row * Tiling::side + c] = now - before[c];
-            before[c] = now;
-        }
+        Row weight;
+        std::memcpy(&weight, w.pixel + row * Tiling::side, sizeof(Row));
+        at += weight * static_cast<float>(scale);
+        const Counts now = __builtin_convertvector(at < up_to ? at : up_to, Counts), draws = now - until;
+        std::memcpy(counts + row * Tiling::side, &draws, sizeof(Counts));
+        until = now;
     }
     // From bytes of 0 or 1 to bits: eight by one multiplication.
     constexpr std::uint64_t gather = std::endian::native == std::endian::little ? 0x0102040810204080u : 0x8040201008040201u;
