@@ -92,8 +92,8 @@ def measure(width: int, height: int, config: Config, spp: int, threads: int, see
 
 
 def initial(spp: int) -> float:
-    """Samples a pixel before anything adapts, by default, and one batch drawn ahead."""
-    return min(max(round(spp / 8), 4), 16) + 1
+    """Samples a pixel before anything adapts, by default."""
+    return min(max(round(spp / 16), 4), 16)
 
 
 def prepared(largest: int, seed: int) -> Iterator[np.ndarray]:

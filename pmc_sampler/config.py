@@ -48,7 +48,8 @@ class Config:
         adapt_beta_every: iterations between adaptations of `beta`, at least 1.
         alpha_floor: epsilon in alpha_k = epsilon / K + (1 - epsilon) share_k, the share of 1 / var_k; in [0, 1].
         alpha_memory: how far the alpha remembered at a place moves to that of a member there, in [0, 1]; a regenerated
-            member starts from what is remembered. 0 remembers nothing, and `Film.alpha` then stays uniform.
+            member starts from what is remembered. With 0 it starts from equal shares; `Film.alpha` then follows the
+            members by 0.25.
         beta: "gain": var / (tvi(I)^2 n^2), the squared perceptual error that one more sample removes, with var the
             variance of a pixel's n samples of luminance and I their mean; "variance": var / tvi(I), the paper's
             (4.3.2).
@@ -60,7 +61,7 @@ class Config:
             importance sampling (doi:10.1109/RT.2006.280223).
         filter_radius: pixels, above 0 and at most 16; None: 0.5 for the box, 1 for the tent, 2 for the others.
         estimator: "consistent": right in the limit; "unbiased": of the right expectation at every count of samples,
-            without population and correction, and with less gain (docs/method.md). Not with a budget of visible noise.
+            with less gain (docs/method.md). It has no population and no correction, and no budget of visible noise.
         correction: strength of the energy correction of `Film.mean`, in [0, 1]; 0 leaves the plain mean.
         correction_sigma: standard deviation of its smoother, 0.5 to 256 pixels.
         correction_knee: radiance, as a share of its surroundings', at which it is half applied, above 0 and at most 1.
@@ -160,11 +161,14 @@ class Config:
         return {**dataclasses.asdict(self), "radii": None if self.radii is None else list(self.radii)}
 
     def resolved(self, width: int, height: int) -> Config:
-        """The same settings with the radii that a sampler of that size uses.
+        """The same settings with what a sampler of that size makes of them: the radii, and what the unbiased estimator
+        settles.
 
         Raises ValueError where they do not fit the image.
         """
-        return dataclasses.replace(self, radii=tuple(self._native().resolved(width, height).radii))
+        native = self._native().resolved(width, height)
+        settled = {name: getattr(native, name) for name in ("direct_share", "adapt_beta_every", "correction")}
+        return dataclasses.replace(self, radii=tuple(native.radii), **settled)
 
     def _native(self) -> _core.Config:
         native = _core.Config()

@@ -66,7 +66,9 @@ class Film:
 
     @property
     def alpha(self) -> FloatImage:
-        """Kernel weights remembered at each place, (height, width, number of radii); they sum to one."""
+        """Kernel weights alpha that members there have learned, a running mean over 8x8 pixels: (height, width, number
+        of radii); they sum to one, and are equal where no member was.
+        """
         return self._native.alpha()
 
     @property

@@ -122,7 +122,7 @@ def test_render_writes_the_library_s_image(lamp: Callable[..., Any], tmp_path: P
     np.testing.assert_array_equal(image.layers["error"], film.standard_error)
     np.testing.assert_array_equal(image.layers["strategy"], film.strategy)
     known = metadata("a.exr")
-    assert json.loads(known["config"]) == Config().to_dict()
+    assert json.loads(known["config"]) == Config().resolved(WIDTH, HEIGHT).to_dict()
     assert json.loads(known["budget"]) == {"spp": 8.0, "seconds": None, "visible_noise": None}
     assert (known["seed"], known["samples"]) == ("5", str(8 * WIDTH * HEIGHT))
     assert (known["scene"], known["method"], known["done"]) == ("here", "pmc", "spp")
@@ -195,7 +195,7 @@ def test_methods_are_the_library_s(method: str, config: Config, lamp: Callable[.
     (tmp_path / "c.toml").write_text("population = 4000" if method == "pmc-paper" else "")
     words = ["render", "here", "--method", method, "--spp", "30", "--config", "c.toml", "-o", "a.exr"]
     assert main(words) == 0
-    assert json.loads(metadata("a.exr")["config"]) == config.to_dict()
+    assert json.loads(metadata("a.exr")["config"]) == config.resolved(WIDTH, HEIGHT).to_dict()
     film = render(Lamp(), WIDTH, HEIGHT, Budget(spp=30), config).film
     np.testing.assert_array_equal(images.read("a.exr").rgb, film.mean)
 
@@ -204,10 +204,13 @@ def test_a_config_file_replaces_settings(lamp: Callable[..., Any], tmp_path: Pat
     lamp()
     (tmp_path / "c.toml").write_text("pool_share = 0.5\nradii = [2, 4]\n")
     assert main(["render", "here", "--spp", "6", "--config", "c.toml", "-o", "a.exr"]) == 0
-    assert json.loads(metadata("a.exr")["config"]) == Config(pool_share=0.5, radii=(2, 4)).to_dict()
+    assert (
+        json.loads(metadata("a.exr")["config"])
+        == Config(pool_share=0.5, radii=(2, 4)).resolved(WIDTH, HEIGHT).to_dict()
+    )
     (tmp_path / "c.toml").write_text('preset = "uniform"\n')
     assert main(["render", "here", "--spp", "6", "--config", "c.toml", "-o", "a.exr"]) == 0
-    assert json.loads(metadata("a.exr")["config"]) == Config.uniform().to_dict()
+    assert json.loads(metadata("a.exr")["config"]) == Config.uniform().resolved(WIDTH, HEIGHT).to_dict()
 
 
 def test_the_renderer_gets_what_was_asked_for(lamp: Callable[..., Any]) -> None:

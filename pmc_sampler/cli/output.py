@@ -55,7 +55,10 @@ class Output:
         if sampler.aovs:
             aovs = film.aovs
             layers |= {name: aovs[..., channel] for channel, name in enumerate(radiance.aov_names)}
-        settings = {"config": sampler.config.to_dict(), "budget": vars(sampler.budget)}
+        settings = {
+            "config": sampler.config.resolved(sampler.width, sampler.height).to_dict(),
+            "budget": vars(sampler.budget),
+        }
         return self._save(film.mean, layers, summary, settings)
 
     def write_native(self, made: Any, settings: Mapping[str, Any], setup: float) -> dict[str, Any]:

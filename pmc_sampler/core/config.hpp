@@ -90,6 +90,8 @@ struct Config {
         in_range("pool_share", pool_share, 0.0, 1.0);
         if (is_unbiased() && initial_spp != automatic && initial_spp < 1.0)
             fail("initial_spp", number(initial_spp), "at least 1 for the unbiased estimator, which needs a sample of every pixel from the pool");
+        if (is_unbiased() && population > 0)
+            throw std::invalid_argument("population is " + std::to_string(population) + ": the unbiased estimator has none, for what it saw in a pixel must not steer there; leave population out");
         in_range("direct_share", direct_share, 0.0, 1.0);
         in_range("lookahead", lookahead, 0, 64);
         in_range("moves", moves, 0, 1024);

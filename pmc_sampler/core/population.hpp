@@ -80,18 +80,19 @@ class AlphaMemory {
 public:
     static constexpr std::uint32_t cell = 8;
 
+    // rate: how far an entry moves to a member's. Where it is 0 members start from equal shares, and the image only shows what they learn.
     AlphaMemory(const Tiling& tiling, std::uint32_t kernels, double rate)
-        : columns_((tiling.width + cell - 1) / cell), kernels_(kernels), rate_(static_cast<float>(rate)),
+        : columns_((tiling.width + cell - 1) / cell), kernels_(kernels), rate_(rate > 0.0 ? static_cast<float>(rate) : 0.25f), starts_(rate > 0.0),
           cells_(std::size_t(columns_) * ((tiling.height + cell - 1) / cell)) {}
 
     Alpha at(std::uint32_t x, std::uint32_t y) const {
-        Alpha alpha = cells_[index(x, y)];
-        if (alpha[0] + alpha[1] + alpha[2] <= 0.0f) std::fill_n(alpha.begin(), kernels_, 1.0f / kernels_);
-        return alpha;
+        const Alpha alpha = cells_[index(x, y)];
+        return alpha[0] + alpha[1] + alpha[2] > 0.0f ? alpha : equal();
     }
+    // What a member there starts from.
+    Alpha start(std::uint32_t x, std::uint32_t y) const { return starts_ ? at(x, y) : equal(); }
     void fetch(const Member& member) const { __builtin_prefetch(&cells_[index(static_cast<std::uint32_t>(member.x), static_cast<std::uint32_t>(member.y))], 1); }
     void learn(const Member& member) {
-        if (rate_ == 0.0f) return;
         const auto x = static_cast<std::uint32_t>(member.x), y = static_cast<std::uint32_t>(member.y);
         Alpha alpha = at(x, y);
         for (std::uint32_t k = 0; k < kernels_; ++k) alpha[k] += rate_ * (member.alpha[k] - alpha[k]);
@@ -104,8 +105,14 @@ public:
 
 private:
     std::size_t index(std::uint32_t x, std::uint32_t y) const { return std::size_t(y / cell) * columns_ + x / cell; }
+    Alpha equal() const {
+        Alpha alpha{};
+        std::fill_n(alpha.begin(), kernels_, 1.0f / static_cast<float>(kernels_));
+        return alpha;
+    }
     std::uint32_t columns_, kernels_;
     float rate_;
+    bool starts_;
     Zeroed<Alpha> cells_;
 };
 
@@ -193,7 +200,7 @@ struct Population {
         members[i] = Member{};
         members[i].x = x;
         members[i].y = y;
-        members[i].alpha = memory.at(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y));
+        members[i].alpha = memory.start(static_cast<std::uint32_t>(x), static_cast<std::uint32_t>(y));
     }
 
     // Section 4.1, Equation 4: T_R moves of each member, each from where the last one ended; slots[m * moves + t], tags alike.

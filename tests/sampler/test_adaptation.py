@@ -191,8 +191,8 @@ def test_alpha_follows_its_equation(floor: float, moves: int, renderers: Any, to
 
 
 def test_regenerated_members_start_from_what_is_remembered(renderers: Any, tools: Any) -> None:
-    """Exactly: a member put anew has the alpha of the film at its place; with no memory, equal weights. The kernels are
-    so small that members stay where they were put, or all but.
+    """Exactly: a member put anew has the alpha of the film at its place; with no memory, equal weights, though the film
+    shows what others learned. The kernels are so small that members stay where they were put, or all but.
     """
 
     def image(batch: Batch) -> np.ndarray:
@@ -212,9 +212,8 @@ def test_regenerated_members_start_from_what_is_remembered(renderers: Any, tools
         inside = (abs(new["x"] % 8 - 4) < 3.5) & (abs(new["y"] % 8 - 4) < 3.5)
         x, y = new["x"][inside].astype(int), new["y"][inside].astype(int)
         assert len(x) > 100
-        assert np.array_equal(new["alpha"][inside, :2], film[y, x])
-        learned = abs(film - 0.5).max() > 0.05
-        assert learned == (memory > 0)
+        assert np.array_equal(new["alpha"][inside, :2], film[y, x] if memory else np.full((len(x), 2), 0.5, np.float32))
+        assert abs(film - 0.5).max() > 0.05
         np.testing.assert_allclose(film.sum(axis=2), 1.0, atol=1e-6)
 
 

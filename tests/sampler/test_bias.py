@@ -118,6 +118,10 @@ def test_the_unbiased_estimator_on_small_images(size: tuple[int, int], renderers
 def test_what_the_unbiased_estimator_needs() -> None:
     with pytest.raises(ValueError, match=r"initial_spp is 0: expected at least 1 for the unbiased estimator"):
         Config(estimator="unbiased", initial_spp=0)
+    with pytest.raises(ValueError, match=r"population is 30: the unbiased estimator has none"):
+        Config(estimator="unbiased", population=30)
+    settled = Config(estimator="unbiased", adapt_beta_every=3).resolved(64, 48)
+    assert (settled.direct_share, settled.adapt_beta_every, settled.correction) == (1.0, 1, 0.0)
     with pytest.raises(ValueError, match=r"give the unbiased estimator spp or seconds"):
         Sampler(8, 8, Budget(visible_noise=0.1), Config(estimator="unbiased"))
     with pytest.raises(ValueError, match=r"estimator is 'exact': expected one of consistent, unbiased"):

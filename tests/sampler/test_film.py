@@ -103,12 +103,15 @@ def test_shapes_and_types() -> None:
     assert Sampler(7, 5, Budget(spp=4)).film.aovs.shape == (5, 7, 0)
 
 
-def test_film_is_small() -> None:
-    """96 bytes a pixel, without AOVs and the sums of tiles: 16 bytes for 256 pixels, and 12 of alpha for 64."""
+@pytest.mark.parametrize(("estimator", "more"), [("consistent", 0), ("unbiased", 4)])
+def test_film_is_small(estimator: str, more: int) -> None:
+    """96 bytes a pixel, without AOVs and the sums of tiles: 16 bytes for 256 pixels, and 12 of alpha for 64; for the
+    unbiased estimator the deviations of the pool as well.
+    """
     assert _core.film_bytes_per_pixel <= 96
-    blocks = Sampler(64, 64, Budget(spp=1))._native.save()
+    blocks = Sampler(64, 64, Budget(spp=1), Config(estimator=estimator))._native.save()
     film = {name: block.nbytes for name, block in blocks.items() if name.startswith(("film.", "alpha."))}
-    assert sum(film.values()) <= (96 + 0.3) * 64 * 64
+    assert sum(film.values()) <= (_core.film_bytes_per_pixel + more + 0.3) * 64 * 64
 
 
 def test_a_large_mean_with_a_tiny_spread_loses_nothing(oracle: Any, renderers: SimpleNamespace) -> None:
