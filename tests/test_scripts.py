@@ -81,6 +81,19 @@ def test_the_benchmark_of_overhead(script: Callable[[str], ModuleType], tmp_path
     assert "bytes a pixel" in page
 
 
+def test_the_benchmark_of_the_mitsuba_adapter(script: Callable[[str], ModuleType], tmp_path: Path) -> None:
+    """The same samples a pixel in batches of each size, a row for each kind of numbers."""
+    module = script("benchmarks/mitsuba_throughput.py")
+    words = ["-o", str(tmp_path), "--sizes", "32x24", "--spp", "2", "--rounds", "1"]
+    assert module.main(words) == 0
+    page = (tmp_path / "mitsuba_throughput.md").read_text()
+    for kind in ("sobol", "independent"):
+        for batch in ("all", "1", "1/8"):
+            assert page.count(f"| 32x24 | {kind} | {batch} | ") == 1
+    sizes = {share: [len(batch) for batch in module.drawn(32, 24, 2, share)] for share in (None, 1.0, 0.125)}
+    assert sizes == {None: [1536], 1.0: [768] * 2, 0.125: [96] * 16}
+
+
 def test_the_benchmark_of_the_opencl_tracer(script: Callable[[str], ModuleType], tmp_path: Path) -> None:
     """On the scene that it makes itself, which has the hundred thousand triangles that it says."""
     module = script("benchmarks/opencl.py")
