@@ -5,8 +5,8 @@
 
 Into the folder goes `mitsuba_throughput.md`. All samples are taken at once, as `mi.render` takes them; in batches of
 one sample a pixel, as the sampler begins; and in batches of an eighth, the smallest that it draws by default once it
-adapts. All are uniform, so that the paths are as long as those of `mi.render`. Runs are interleaved, for the machine may be
-shared and its clock may drift: in each round every contender renders the same number of samples, in an order that
+adapts. All are uniform, so that the paths are as long as those of `mi.render`. Runs are interleaved, for the machine
+may be shared and its clock may drift: in each round every contender renders the same number of samples, in an order that
 rotates, and a ratio is that of one round's rates. The opponent of our `sobol` is Mitsuba's low-discrepancy
 `multijitter`. The first, uncounted round compiles.
 """
@@ -43,8 +43,8 @@ def main(arguments: list[str] | None = None) -> int:
         "# Throughput of the Mitsuba adapter",
         "",
         f"`python benchmarks/mitsuba_throughput.py {command}`, {benchmark.machine()}, "
-        f"Mitsuba {MitsubaRenderer.version()}, `{options.scene}` at {options.spp} samples a pixel. What is measured is in the head of "
-        "`benchmarks/mitsuba_throughput.py`.",
+        f"Mitsuba {MitsubaRenderer.version()}, `{options.scene}` at {options.spp} samples a pixel. What is "
+        "measured is in the head of `benchmarks/mitsuba_throughput.py`.",
         "",
         "| size | sampler | samples a pixel in a batch | million samples/s | over `mi.render` (quartiles) |",
         "|---|---|---|---|---|",
