@@ -6,8 +6,8 @@
 Into the folder goes `mitsuba_throughput.md`. All samples are taken at once, as `mi.render` takes them; in batches of
 one sample a pixel, as the sampler begins; and in batches of an eighth, the smallest that it draws by default once it
 adapts. All are uniform, so that the paths are as long as those of `mi.render`. Runs are interleaved, for the machine
-may be shared and its clock may drift: in each round every contender renders the same number of samples, in an order that
-rotates, and a ratio is that of one round's rates. The opponent of our `sobol` is Mitsuba's low-discrepancy
+may be shared and its clock may drift: in each round every contender renders the same number of samples, in an order
+that rotates, and a ratio is that of one round's rates. The opponent of our `sobol` is Mitsuba's low-discrepancy
 `multijitter`. The first, uncounted round compiles.
 """
 
