@@ -6,13 +6,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from pmc_sampler import _core
+from pmc_sampler import _core, inputs
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,16 +19,16 @@ class Config:
     """How the sampler chooses pixels and what image it makes of the samples. Checked on construction.
 
     The batch
-        batch: samples in a batch; None: one for each pixel before anything adapts, and after that from one for every
-            eighth pixel to one for each, the more the thinner beta is spread; 4096 at least. A `population` that is
-            given sets the size of the batches that adapt.
-        initial_spp: samples a pixel from the stratified pool before anything adapts; None: a sixteenth of the
-            budget, held to 4 to 16.
+        batch: samples in a batch, in [1, 2^31]; None: one for each pixel before anything adapts, and after that from
+            one for every eighth pixel to one for each, the more the thinner beta is spread; 4096 at least. A
+            `population` that is given sets the size of the batches that adapt.
+        initial_spp: samples a pixel from the stratified pool before anything adapts, in [0, 1e9], at least 1 for the
+            unbiased estimator; None: a sixteenth of the budget, held to 4 to 16.
         pool_share: share of each batch from the stratified pool, in [0, 1]; 1 is uniform sampling.
         direct_share: share of the rest drawn from `beta` and evaluated where drawn, outside the population, in [0, 1].
         lookahead: batch k is drawn from what batches up to k - 1 - lookahead told, in [0, 64]; so many batches may be
-            open besides the one asked for, and as many more populations take turns. For renderers that work on several
-            batches at once; others only learn later from it.
+            open besides the one asked for, none by default, and as many more populations take turns. For renderers
+            that work on several batches at once; others only learn later from it.
 
     The population (paper, 4.1 and 4.3)
         population: members n, at most the pixels of the image; None: what fills the batch.
@@ -104,13 +103,13 @@ class Config:
     def paper(cls, width: int = 640, height: int = 480, **changes: Any) -> Config:
         """The paper's parameters for its first scene (its section 5): the plain mean, one population at a time.
 
-        width, height: of the image, in pixels. The paper's is 640x480; for another the population of 5000 is scaled
-        by the
-        number of pixels, so that a run of as many samples a pixel takes as many iterations and adapts as often. The
-        paper does not give epsilon; it is the default's `alpha_floor`.
+        width, height: of the image, in pixels, 1 to 65535 each. The paper's is 640x480; for another the population of
+        5000 is scaled by the number of pixels, so that a run of as many samples a pixel takes as many iterations and
+        adapts as often. The paper does not give epsilon; it is the default's `alpha_floor`.
         """
+        pixels = inputs.side("width", width) * inputs.side("height", height)
         settings: dict[str, Any] = {
-            "population": max(1, round(5000 * width * height / (640 * 480))),
+            "population": max(1, round(5000 * pixels / (640 * 480))),
             "moves": 16,
             "radii": (5.0, 10.0, 50.0),
             "eliminate": 0.4,
@@ -204,7 +203,7 @@ class Budget:
         for field in dataclasses.fields(self):
             value = getattr(self, field.name)
             if value is not None:
-                object.__setattr__(self, field.name, _number(f"budget {field.name}", value, allow_infinity=False))
+                object.__setattr__(self, field.name, inputs.number(f"budget {field.name}", value, allow_infinity=False))
         self._native().check()
 
     def _native(self) -> _core.Budget:
@@ -234,18 +233,6 @@ _FILTER_RADIUS = {"box": 0.5, "tent": 1.0, "gaussian": 2.0, "blackman-harris": 2
 _LARGEST = {"batch": 2**31, "population": 2**29, "lookahead": 2**31}
 
 
-def _number(name: str, value: Any, allow_infinity: bool = True) -> float:
-    if isinstance(value, (bool, str, bytes)):
-        raise TypeError(f"{name} is {value!r}: expected a number")
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise TypeError(f"{name} is {value!r}: expected a number") from None
-    if math.isnan(number) or (math.isinf(number) and not allow_infinity):
-        raise ValueError(f"{name} is {value!r}: expected a finite number")
-    return number
-
-
 def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
     """The value of a setting in its own type; nothing is rounded or guessed."""
     name, kind = field.name, str(field.type)
@@ -258,15 +245,13 @@ def _converted(field: dataclasses.Field[Any], value: Any) -> Any:
     if name == "radii":
         if isinstance(value, str) or not hasattr(value, "__iter__"):
             raise TypeError(f"radii is {value!r}: expected one to three numbers of pixels")
-        radii = tuple(_number("radii", radius) for radius in value)
+        radii = tuple(inputs.number("radii", radius) for radius in value)
         if not radii:
             raise ValueError("radii holds no values: expected 1 to 3 radii in pixels, or None")
         return radii
     if kind == "bool":
-        if not isinstance(value, bool):
-            raise TypeError(f"{name} is {value!r}: expected True or False")
-        return value
-    number = _number(name, value)
+        return inputs.flag(name, value)
+    number = inputs.number(name, value)
     if kind.startswith("int"):
         low, high = (1 if "None" in kind else 0), _LARGEST.get(name, 2**31)
         if not number.is_integer() or not low <= number <= high:

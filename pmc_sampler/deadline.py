@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from pmc_sampler.inputs import number
+
 _Answer = tuple[bool, Any]  # whether it returned, and what; else what it raised
 _given_up: list[threading.Thread] = []
 
@@ -22,7 +24,7 @@ class Deadline:
     """
 
     def __init__(self, function: Callable[[Any], Any], seconds: float) -> None:
-        if not 0.0 < seconds <= threading.TIMEOUT_MAX:
+        if not 0.0 < number("timeout", seconds) <= threading.TIMEOUT_MAX:
             raise ValueError(f"timeout is {seconds!r}: expected seconds above 0, or None")
         self._function, self._seconds = function, seconds
         self._calls: queue.SimpleQueue[tuple[Any, queue.SimpleQueue[_Answer]] | None] = queue.SimpleQueue()

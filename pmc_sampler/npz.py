@@ -23,6 +23,8 @@ def write(path: Path, arrays: Mapping[str, Any]) -> None:
 
     A process that is killed meanwhile leaves `PATH.*.part`. Raises OSError with the path where it cannot be written.
     """
+    if path.is_dir():
+        raise IsADirectoryError(f"{str(path)!r} cannot be written: it is a folder; name a file")
     if not path.parent.is_dir():
         raise FileNotFoundError(f"{str(path)!r} cannot be written: there is no folder {str(path.parent)!r}")
     handle, name = tempfile.mkstemp(prefix=path.name + ".", suffix=".part", dir=path.parent)

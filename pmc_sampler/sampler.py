@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import inspect
-import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,12 +13,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from pmc_sampler import _core, checkpoint
+from pmc_sampler import _core, checkpoint, inputs
 from pmc_sampler.config import Budget, Config
 from pmc_sampler.deadline import Deadline
 from pmc_sampler.film import Film
 
 _DONE = (None, "spp", "seconds", "visible_noise")
+_ROWS = "give each sample a row, RGB first"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,13 +101,13 @@ class Sampler:
         config = Config() if config is None else config
         if not isinstance(config, Config):
             raise TypeError(f"config is {config!r}: expected a Config")
-        self.width = _whole("width", width, 0, 2**32 - 1)
-        self.height = _whole("height", height, 0, 2**32 - 1)
+        self.width = inputs.side("width", width)
+        self.height = inputs.side("height", height)
         self.budget = budget
         self.config = config
-        self.seed = _whole("seed", seed, 0, 2**64 - 1)
-        self.aovs = _whole("aovs", aovs, 0, 64)
-        self.signed = bool(signed)
+        self.seed = inputs.whole("seed", seed, 0, 2**64 - 1)
+        self.aovs = inputs.whole("aovs", aovs, 0, 64)
+        self.signed = inputs.flag("signed", signed)
         self.note: dict[str, Any] = {}
         try:
             self._native = _core.Sampler(
@@ -140,27 +140,29 @@ class Sampler:
         """The radiance of a batch: (n, 3 + aovs) floats, linear RGB first, in the batch's order.
 
         Samples that are not finite or negative do not enter the film; they are counted in `rejected`. Raises
-        ValueError or TypeError, and leaves the sampler as it was, for a wrong shape or type, a batch told or dropped
-        before or drawn by another sampler, and where more than half of the samples are invalid (of fewer than 64
-        samples: where so are more than half of all until then, too).
+        ValueError or TypeError, and leaves the sampler as it was, for a wrong shape or type, a masked array, a batch
+        told or dropped before or drawn by another sampler, and where more than half of the samples are invalid (of
+        fewer than 64 samples: where so are more than half of all until then, too).
         """
         native = _native_batch(batch)
-        array = np.asarray(radiance)
-        expected = (len(batch), 3 + self.aovs)
-        if array.shape != expected:
-            raise ValueError(f"tell: got radiance of shape {array.shape} for batch {batch.number}, expected {expected}")
-        if array.dtype.kind != "f":
-            raise TypeError(f"tell: got radiance of type {array.dtype} for batch {batch.number}, expected float32")
-        with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite and is counted as such
-            self._native.tell(native, np.ascontiguousarray(array, dtype=np.float32))
+        self._close(self._native.tell, native, _values(radiance, batch, 3 + self.aovs))
 
     def drop(self, batch: Batch) -> None:
         """Gives an open batch up, a lost one for instance; its samples are drawn again later, at other positions."""
-        self._native.drop(_native_batch(batch))
+        self._close(self._native.drop, _native_batch(batch))
 
     def put_back(self, batch: Batch) -> None:
         """Closes an open batch without an answer; the next `ask` gives the same samples again."""
-        self._native.put_back(_native_batch(batch))
+        self._close(self._native.put_back, _native_batch(batch))
+
+    def _close(self, close: Callable[..., None], native: _core.Batch, *values: npt.NDArray[np.float32]) -> None:
+        """Closes a batch by a method of the core; where it is not open here, says what to do."""
+        try:
+            close(native, *values)
+        except ValueError as error:
+            if self._native.is_open(native):
+                raise
+            raise ValueError(f"{error}; a batch goes back once, to the sampler whose ask gave it") from None
 
     @property
     def done(self) -> str | None:
@@ -199,9 +201,10 @@ class Sampler:
 
         One batch is sampled at least, however short the budget.
         """
-        if not 0.0 <= seconds < math.inf:
-            raise ValueError(f"the seconds that are added are {seconds!r}: expected a number from 0")
-        self._native.add_elapsed(float(seconds))
+        added = inputs.number("seconds", seconds, allow_infinity=False)
+        if added < 0.0:
+            raise ValueError(f"seconds is {seconds!r}: expected a number from 0")
+        self._native.add_elapsed(added)
 
     @property
     def fraction(self) -> float:
@@ -223,6 +226,8 @@ class Sampler:
             and TimeoutError raised; None waits for ever, in the caller's thread.
         """
         wants_batch = _takes_batch(radiance)
+        if progress is not None and not callable(progress):
+            raise TypeError(f"progress is {progress!r}: expected a function of the sampler, or None")
         start = time.perf_counter()
         in_renderer = in_sampler = 0.0
         with contextlib.ExitStack() as resources:
@@ -360,10 +365,29 @@ def _native_batch(batch: Batch) -> _core.Batch:
     return batch._native
 
 
+def _values(radiance: npt.ArrayLike, batch: Batch, channels: int) -> npt.NDArray[np.float32]:
+    """What was told of a batch as the core takes it."""
+    what, expected = f"for batch {batch.number}", (len(batch), channels)
+    if np.ma.isMaskedArray(radiance):
+        raise TypeError(
+            f"tell: got a masked array {what}, expected a plain one: fill it, with NaN for what is no sample"
+        )
+    try:
+        array = np.asarray(radiance)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(f"tell: got radiance that is no array {what}, expected shape {expected}: {_ROWS}") from error
+    if array.shape != expected:
+        raise ValueError(f"tell: got radiance of shape {array.shape} {what}, expected {expected}: {_ROWS}")
+    if array.dtype.kind != "f":
+        raise TypeError(f"tell: got radiance of type {array.dtype} {what}, expected float32: convert it with astype")
+    with np.errstate(over="ignore"):  # what float32 cannot hold becomes infinite and is counted as such
+        return np.ascontiguousarray(array, dtype=np.float32)
+
+
 def _check_film(header: Mapping[str, Any], stored: int) -> None:
     """Raises ValueError where a checkpoint speaks of a larger film than it has bytes for: before one is made."""
-    sides = [_whole(name, header[name], 0, 2**32 - 1) for name in ("width", "height")]
-    need = sides[0] * sides[1] * (_core.film_bytes_per_pixel + 8 * _whole("aovs", header["aovs"], 0, 64))
+    sides = [inputs.side(name, header[name]) for name in ("width", "height")]
+    need = sides[0] * sides[1] * (_core.film_bytes_per_pixel + 8 * inputs.whole("aovs", header["aovs"], 0, 64))
     if need > stored:
         raise ValueError(f"an image of {sides[0]}x{sides[1]} takes {need} bytes of film, and it holds {stored}")
 
@@ -371,12 +395,4 @@ def _check_film(header: Mapping[str, Any], stored: int) -> None:
 def _threads(threads: int | _core.Executor | None) -> int | _core.Executor:
     if isinstance(threads, _core.Executor):
         return threads
-    return 0 if threads is None else _whole("threads", threads, 1, 1024)
-
-
-def _whole(name: str, value: Any, low: int, high: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name} is {value!r}: expected a whole number")
-    if not low <= value <= high:
-        raise ValueError(f"{name} is {value}: expected {low} to {high}")
-    return int(value)
+    return 0 if threads is None else inputs.whole("threads", threads, 1, 1024)

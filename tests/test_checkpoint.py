@@ -206,7 +206,7 @@ def test_foreign_files(kind: str, tmp_path: Path) -> None:
         (header(lambda h: h.update(width=40)), "cannot resume .* block 'film"),
         (header(lambda h: h.update(width=65535, height=65535)), "cannot resume .* of 65535x65535 takes"),
         (header(lambda h: h.update(note=7)), "cannot resume"),
-        (header(lambda h: h.update(width=0)), "cannot resume .* the image is 0x15"),
+        (header(lambda h: h.update(width=0)), "cannot resume .* width is 0: expected 1 to 65535"),
         (header(lambda h: h.update(width="20")), "cannot resume .* width is '20'"),
         (header(lambda h: h.update(aovs=2)), "cannot resume .* block 'film.aov_sums' holds 0 bytes, expected"),
         (header(lambda h: h.update(budget=[1])), "cannot resume"),
@@ -342,6 +342,18 @@ def test_nowhere_to_write(where: str, tmp_path: Path) -> None:
         half_done().save(tmp_path / where)
     assert sorted(os.listdir(tmp_path)) == ["file", "folder"]
     assert (tmp_path / "file").read_text() == "a file"
+    assert os.listdir(tmp_path / "folder") == []
+
+
+@pytest.mark.parametrize("where", ["folder", ""])
+def test_a_folder_is_no_file(where: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An empty name is that of the working folder."""
+    (tmp_path / "folder").mkdir()
+    monkeypatch.chdir(tmp_path)
+    sentence = f"'{where or '.'}' cannot be written: it is a folder; name a file"
+    with pytest.raises(IsADirectoryError, match=f"^{re.escape(sentence)}$"):
+        half_done().save(where)
+    assert os.listdir(tmp_path) == ["folder"]
     assert os.listdir(tmp_path / "folder") == []
 
 

@@ -122,6 +122,24 @@ def test_unknown_settings() -> None:
             Config.from_dict({"preset": preset})
 
 
+@pytest.mark.parametrize(
+    ("size", "error", "sentence"),
+    [
+        ((0, 0), ValueError, "width is 0: expected 1 to 65535"),
+        ((-3, 5), ValueError, "width is -3: expected 1 to 65535"),
+        ((5, 65536), ValueError, "height is 65536: expected 1 to 65535"),
+        (("a", 5), TypeError, "width is 'a': expected a whole number"),
+        ((5, 2.5), TypeError, "height is 2.5: expected a whole number"),
+    ],
+)
+def test_sizes_that_the_paper_s_population_cannot_be_scaled_to(
+    size: tuple[Any, Any], error: type[Exception], sentence: str
+) -> None:
+    for make in (lambda: Config.paper(*size), lambda: Config.from_dict({"preset": "paper"}, size)):
+        with pytest.raises(error, match=re.escape(sentence)):
+            make()
+
+
 # --- What is taken ---------------------------------------------------------------------------------------------------
 CHANGED: dict[str, Any] = {
     "batch": 1234,

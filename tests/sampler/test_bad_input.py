@@ -31,13 +31,23 @@ def busy(renderers: SimpleNamespace) -> tuple[Sampler, Batch]:
 @pytest.mark.parametrize(
     ("radiance", "error", "sentence"),
     [
-        (lambda n: np.zeros((n - 1, 3), np.float32), ValueError, "shape (199, 3) for batch 8, expected (200, 3)"),
+        (
+            lambda n: np.zeros((n - 1, 3), np.float32),
+            ValueError,
+            "shape (199, 3) for batch 8, expected (200, 3): give each sample a row, RGB first",
+        ),
         (lambda n: np.zeros((n, 4), np.float32), ValueError, "shape (200, 4) for batch 8, expected (200, 3)"),
         (lambda n: np.zeros(n, np.float32), ValueError, "shape (200,) for batch 8, expected (200, 3)"),
         (lambda n: np.zeros((3, n), np.float32), ValueError, "shape (3, 200)"),
         (lambda n: 0.5, ValueError, "shape ()"),
         (lambda n: None, ValueError, "shape ()"),
-        (lambda n: np.zeros((n, 3), np.int32), TypeError, "type int32 for batch 8, expected float32"),
+        (lambda n: [[1.0, 2.0], [3.0]], ValueError, "no array for batch 8, expected shape (200, 3): give each sample"),
+        (
+            lambda n: np.ma.masked_less(np.zeros((n, 3), np.float32), 1),
+            TypeError,
+            "masked array for batch 8, expected a plain one: fill it, with NaN for what is no sample",
+        ),
+        (lambda n: np.zeros((n, 3), np.int32), TypeError, "type int32 for batch 8, expected float32: convert it"),
         (lambda n: np.zeros((n, 3), bool), TypeError, "type bool"),
         (lambda n: np.zeros((n, 3), complex), TypeError, "type complex128"),
         (lambda n: np.full((n, 3), "0"), TypeError, "type <U1"),
@@ -203,13 +213,44 @@ def test_batches_that_are_not_open(
         batch, sentence = other.ask(), "batch 0 was drawn by another sampler"
     values = np.zeros((len(batch), 3), np.float32)
     before = tools.state(sampler)
-    with pytest.raises(error, match=sentence):
+    advice = "" if case == "no batch" else "; a batch goes back once, to the sampler whose ask gave it"
+    with pytest.raises(error, match=f"{sentence}{advice}$"):
         getattr(sampler, action)(batch, *([values] if action == "tell" else []))
     assert tools.state(sampler) == before
     if case in ("foreign", "foreign twin", "no batch"):
         sampler.tell(mine, renderers.textured(mine))  # still open
     sampler.run(renderers.textured)
     assert sampler.samples == 20 * 20 * 15
+
+
+@pytest.mark.parametrize(
+    ("action", "error", "sentence"),
+    [
+        (lambda s: s.add_elapsed("1"), TypeError, "seconds is '1': expected a number"),
+        (lambda s: s.add_elapsed(None), TypeError, "seconds is None: expected a number"),
+        (lambda s: s.add_elapsed(-1), ValueError, "seconds is -1: expected a number from 0"),
+        (lambda s: s.add_elapsed(np.nan), ValueError, "seconds is nan: expected a finite number"),
+        (lambda s: s.add_elapsed(np.inf), ValueError, "seconds is inf: expected a finite number"),
+        (lambda s: s.run(np.zeros, timeout="a"), TypeError, "timeout is 'a': expected a number"),
+        (lambda s: s.run(np.zeros, timeout=True), TypeError, "timeout is True: expected a number"),
+        (lambda s: s.run(np.zeros, timeout=np.nan), ValueError, "timeout is nan: expected a finite number"),
+        (lambda s: s.run(np.zeros, timeout=0), ValueError, "timeout is 0: expected seconds above 0, or None"),
+        (
+            lambda s: s.run(np.zeros, progress=3),
+            TypeError,
+            "progress is 3: expected a function of the sampler, or None",
+        ),
+        (lambda s: s.run(3), TypeError, "radiance is 3: expected a function"),
+    ],
+)
+def test_calls_that_cannot_be(
+    action: Any, error: type[Exception], sentence: str, busy: tuple[Sampler, Batch], tools: SimpleNamespace
+) -> None:
+    sampler, _ = busy
+    before = tools.state(sampler)
+    with pytest.raises(error, match=re.escape(sentence)):
+        action(sampler)
+    assert tools.state(sampler) == before
 
 
 def test_asking_beyond_lookahead(busy: tuple[Sampler, Batch], tools: SimpleNamespace) -> None:
@@ -246,10 +287,10 @@ SPP = Budget(spp=1)
 @pytest.mark.parametrize(
     ("arguments", "error", "sentence"),
     [
-        ((0, 5, SPP), ValueError, "the image is 0x5: expected 1 to 65535 pixels on each side"),
-        ((5, 0, SPP), ValueError, "the image is 5x0"),
-        ((-4, 5, SPP), ValueError, "width is -4"),
-        ((65536, 5, SPP), ValueError, "the image is 65536x5: expected 1 to 65535"),
+        ((0, 5, SPP), ValueError, "width is 0: expected 1 to 65535"),
+        ((5, 0, SPP), ValueError, "height is 0: expected 1 to 65535"),
+        ((-4, 5, SPP), ValueError, "width is -4: expected 1 to 65535"),
+        ((65536, 5, SPP), ValueError, "width is 65536: expected 1 to 65535"),
         (
             (65535, 65535, SPP),
             ValueError,
@@ -267,6 +308,7 @@ SPP = Budget(spp=1)
         ((9, 5, SPP, None, 0, -1), ValueError, "aovs is -1: expected 0 to 64"),
         ((9, 5, SPP, None, 0, 65), ValueError, "aovs is 65"),
         ((9, 5, SPP, None, 0, 0, 0), ValueError, "threads is 0: expected 1 to 1024"),
+        ((9, 5, SPP, None, 0, 0, 1, "no"), TypeError, "signed is 'no': expected True or False"),
         (
             (9, 5, SPP, Config(radii=(3.0, 9.5))),
             ValueError,
