@@ -73,7 +73,12 @@ class Film:
 
     @property
     def halves(self) -> tuple[FloatImage, FloatImage]:
-        """Means of two disjoint halves of each pixel's samples, for an error estimate or a denoiser."""
+        """Means of two disjoint halves of each pixel's samples, for an error estimate or a denoiser.
+
+        Halves of `plain_mean`, so that they lack the energy that `mean` gives back: they are darker than it where
+        steering was strong (docs/method.md, "The image"). Let a denoiser filter `mean` and take from the halves how
+        noisy it is; where it filters the halves, add `mean - plain_mean` to what it makes of them.
+        """
         return self._native.halves()
 
     @property
