@@ -21,7 +21,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-__all__ = ["Availability", "available", "load", "names", "native_settings", "version"]
+from .inputs import check_regular
+
+__all__ = ["Availability", "available", "load", "names", "native_settings", "takes", "version"]
 
 GROUP = "pmc_sampler.renderers"
 _CODE = {".py", ".cl"}  # what every installation has
@@ -61,7 +63,14 @@ def load(renderer: str, scene: Any, **options: Any) -> Any:
     """
     kind = _found(renderer)
     _check_options(renderer, kind, options)
+    check_regular(scene)
     return kind(scene, **options)
+
+
+def takes(renderer: str, option: str) -> bool:
+    """Whether a renderer has that option of `load`. Raises as `load` does for the renderer."""
+    parameters = inspect.signature(_found(renderer)).parameters
+    return option in parameters or any(one.kind is one.VAR_KEYWORD for one in parameters.values())
 
 
 def native_settings(renderer: str) -> list[str]:

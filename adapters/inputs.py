@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import os
 from typing import Any
 
-__all__ = ["check_positive", "check_size", "check_whole", "samples_of"]
+__all__ = ["check_positive", "check_regular", "check_size", "check_whole", "samples_of"]
 
 
 def check_whole(name: str, value: Any, low: int, high: int) -> None:
@@ -18,6 +19,14 @@ def check_positive(name: str, value: Any) -> None:
     """Raises ValueError for what is no finite number above 0."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not (value > 0 and math.isfinite(value)):
         raise ValueError(f"{name} is {value!r}: expected a number above 0")
+
+
+def check_regular(file: Any) -> None:
+    """Raises ValueError for a pipe, a device or a socket, where reading might wait for ever; what is no path passes."""
+    if not isinstance(file, str | os.PathLike) or not os.path.exists(file):
+        return
+    if not os.path.isfile(file) and not os.path.isdir(file):
+        raise ValueError(f"{os.fspath(file)!r} is no regular file: copy what it gives into one, and name that")
 
 
 def check_size(size: Any) -> None:

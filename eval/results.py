@@ -215,8 +215,9 @@ def load(path: str | os.PathLike[str]) -> Results:
             raise ValueError("its plan names other files than its own")
         suite = read(folder.path / "suite.toml")
     except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
+        why = (error.strerror if isinstance(error, OSError) else None) or error
         raise BadResultsError(
-            f"{str(path)!r} holds no results of a benchmark ({error}); `pmc-sampler bench -o {path}` makes them."
+            f"{str(path)!r} holds no results of a benchmark ({why}); `pmc-sampler bench -o {path}` makes them."
         ) from error
     rows = [row for row in (folder.row(run_id) for run_id in ids) if row is not None]
     return Results(folder.path, suite, rows, len(ids) - len(rows))

@@ -14,9 +14,11 @@ def read(path: str | Path) -> dict[str, Any]:
     Raises ValueError for a file that is missing or no TOML, and ImportError where Python 3.10 lacks tomli, each with a
     sentence that names the file or what to install.
     """
-    toml = _reader()
+    toml, file = _reader(), Path(path)
     try:
-        contents: dict[str, Any] = toml.loads(Path(path).read_text(encoding="utf-8"))
+        if file.exists() and not file.is_file():  # a pipe could be waited for, and can be read only once
+            raise ValueError(f"the file {str(path)!r} cannot be read: it is no regular file.")
+        contents: dict[str, Any] = toml.loads(file.read_text(encoding="utf-8"))
     except OSError as error:
         raise ValueError(f"the file {str(path)!r} cannot be read: {error.strerror}.") from error
     except (UnicodeDecodeError, toml.TOMLDecodeError, RecursionError) as error:

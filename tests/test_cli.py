@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -299,10 +300,13 @@ def test_rejected_samples_are_counted(
 
 BAD = [
     ("render", "required: SCENE"),
+    ("render ''", "'' is no scene; give a built-in scene's name or a scene file"),
+    ("render .", "'.' is no scene"),
+    ("record '' --per-pixel 4 -o a.h5", "'' is no scene"),
     ("render here --size 0x4", "'0x4' is no size"),
     ("render here --size 4", "640x480"),
     ("render here --size 4x4x4", "640x480"),
-    ("render here --size 99999x9", "65535"),
+    ("render here --size 99999x9", "the image is 99999x9: expected 1 to 65535"),
     ("render here --spp 0", "not a number above 0"),
     ("render here --spp nan", "not a number above 0"),
     ("render here --spp many", "not a number above 0"),
@@ -319,7 +323,18 @@ BAD = [
     ("render here --config binary.toml", "no TOML"),
     ("render here --config unknown.toml", "unknown setting 'radius'"),
     ("render here --config wrong.toml", "pool_share"),
-    ("render here --config large.toml", "population is 999999"),
+    (
+        "render here --config large.toml",
+        "a smaller population; give a larger image by --size, or population by --config",
+    ),
+    (
+        "render here --method pmc-paper --size 40x30",
+        "radii holds 50 pixels, beyond the image of 40x30: expected at most 40; give a larger image by --size, or "
+        "radii by --config",
+    ),
+    ("render here --config pipe.toml", "'pipe.toml' cannot be read: it is no regular file"),
+    ("render here --config folder.exr", "'folder.exr' cannot be read: it is no regular file"),
+    ("render here --renderer mitsuba -- +K0.5", "the renderer 'mitsuba' takes no options after --: '+K0.5'"),
     ("render here -o a.png", ".exr file"),
     ("render here -o none/a.exr", "does not exist"),
     ("render here -o folder.exr", "is a folder"),
@@ -357,9 +372,10 @@ def test_bad_input_gets_one_sentence_and_status_2(
     (tmp_path / "large.toml").write_text("population = 999999")
     (tmp_path / "folder.exr").mkdir()
     (tmp_path / "taken.png").mkdir()
+    os.mkfifo(tmp_path / "pipe.toml")
     before = sorted(os.listdir(tmp_path))
     try:
-        status = main(words.split())
+        status = main(shlex.split(words))
     except SystemExit as stop:
         status = int(stop.code or 0)
     out, err = capsys.readouterr()
@@ -943,6 +959,9 @@ def test_a_scene_by_every_method(
         ("render none.xml", "none.xml"),
         ("render broken.xml", "broken.xml"),
         ("render picture.gif", "picture.gif"),
+        ("render pipe.xml", "'pipe.xml' is no regular file"),
+        ("render pipe.xml --renderer mitsuba", "'pipe.xml' is no regular file"),
+        ("render pipe.pov", "'pipe.pov' is no regular file"),
         ("render cornell-box --renderer mitsuba3", "mitsuba"),
         ("render cornell-box --device teapot", "no OpenCL device is called 'teapot'"),
         ("render cornell-box --renderer mitsuba --device 0", "has no option 'device'"),
@@ -958,11 +977,14 @@ def test_bad_scenes_get_one_sentence(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.xml").write_text('<scene version="3.0.0"><shape type="cube">')
     (tmp_path / "picture.gif").write_text("")
+    os.mkfifo(tmp_path / "pipe.xml")
+    os.mkfifo(tmp_path / "pipe.pov")
+    before = sorted(os.listdir(tmp_path))
     assert main(words.split()) == 2
     err = capsys.readouterr().err
     assert sentence in err
     assert err.count("\n") == 1
-    assert sorted(os.listdir(tmp_path)) == ["broken.xml", "picture.gif"]
+    assert sorted(os.listdir(tmp_path)) == before
 
 
 def test_the_installed_command_runs(tmp_path: Path) -> None:

@@ -124,7 +124,7 @@ def _render(p: argparse.ArgumentParser) -> None:
 
 def _renderer(p: argparse.ArgumentParser) -> None:
     """What is rendered, by whom and with which numbers."""
-    p.add_argument("scene", metavar="SCENE", help="a built-in scene's name or a scene file")
+    p.add_argument("scene", type=scene, metavar="SCENE", help="a built-in scene's name or a scene file")
     p.add_argument(
         "--renderer",
         metavar="NAME",
@@ -215,6 +215,13 @@ def _bench(p: argparse.ArgumentParser) -> None:
 def renderer_for(scene: str) -> str:
     """The renderer that is meant where none is named."""
     return RENDERERS.get(scene_path(scene).suffix.lower(), DEFAULT_RENDERER)
+
+
+def scene(text: str) -> str:
+    """A scene's name or file; whether it exists is for the renderer to say."""
+    if not scene_path(text).name:
+        raise argparse.ArgumentTypeError(f"{text!r} is no scene; give a built-in scene's name or a scene file")
+    return text
 
 
 def scene_path(scene: str) -> Path:

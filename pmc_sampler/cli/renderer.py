@@ -22,11 +22,13 @@ def load_renderer(options: argparse.Namespace, settings: Mapping[str, Any]) -> A
             chosen[name] = value
     chosen = {"sampler": options.sampler, "size": options.size} | chosen
     try:
-        load, scene = importlib.import_module("pmc_sampler.adapters").load, options.scene
+        adapters, scene = importlib.import_module("pmc_sampler.adapters"), options.scene
+        if options.own_options and not adapters.takes(options.renderer, "options"):
+            raise TypeError(f"the renderer {options.renderer!r} takes no options after --: {options.own_options[0]!r}")
         if options.scheduler is None:
-            return load(options.renderer, scene, **chosen)
+            return adapters.load(options.renderer, scene, **chosen)
         scene = os.path.abspath(scene) if scene_path(scene).is_file() else scene
         cluster = importlib.import_module("pmc_sampler.adapters.cluster")
-        return cluster.ClusterRenderer(options.scheduler, load, options.renderer, scene, **chosen)
+        return cluster.ClusterRenderer(options.scheduler, adapters.load, options.renderer, scene, **chosen)
     except (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError) as error:
         raise CommandError(" ".join(str(error).split())) from error

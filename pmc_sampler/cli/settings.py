@@ -17,13 +17,16 @@ _PRESETS = {"pmc": "default", "pmc-paper": "paper", "pt": "uniform"}
 def config(method: str, file: Path | None, radiance: Any = None) -> Config:
     """The method's settings; those in the TOML file, a ``preset`` too, take their place.
 
-    radiance: the renderer, once it is there.
+    radiance: the renderer, once it is there; the settings have to fit its image.
     """
     given = {} if file is None else _read(file)
     try:
-        return config_for(radiance, {"preset": _PRESETS[method], **given})
+        made = config_for(radiance, {"preset": _PRESETS[method], **given})
     except (ValueError, TypeError) as error:
         raise CommandError(str(error) if file is None else f"{str(file)!r}: {error}") from error
+    if radiance is not None:
+        _check_fits(made, radiance.width, radiance.height)
+    return made
 
 
 def budget(options: argparse.Namespace) -> Budget:
@@ -35,6 +38,16 @@ def budget(options: argparse.Namespace) -> Budget:
         return Budget(**limits)
     except (ValueError, TypeError) as error:
         raise CommandError(str(error)) from error
+
+
+def _check_fits(made: Config, width: int, height: int) -> None:
+    """Raise :class:`CommandError` where the radii or the population, perhaps the method's own, are too large."""
+    try:
+        made.resolved(width, height)
+    except ValueError as error:
+        name = str(error).split()[0]
+        advice = f"; give a larger image by --size, or {name} by --config" if name in made.to_dict() else ""
+        raise CommandError(f"{error}{advice}") from error
 
 
 def _read(file: Path) -> Mapping[str, Any]:

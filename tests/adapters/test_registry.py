@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from importlib import metadata
@@ -60,6 +61,27 @@ def test_a_third_partys_renderer(third_party: type) -> None:
     entry = next(entry for entry in adapters.available() if entry.name == "theirs")
     assert entry.runs
     assert entry.detail == "Theirs 2.0 on this machine"
+
+
+def test_options_that_a_renderer_takes(third_party: type, monkeypatch: pytest.MonkeyPatch) -> None:
+    from pmc_sampler import adapters
+
+    assert [adapters.takes("theirs", name) for name in ("quality", "speed")] == [True, False]
+    monkeypatch.setattr(third_party, "__init__", lambda self, scene, **options: None)
+    assert adapters.takes("theirs", "speed")
+    with pytest.raises(ValueError, match="no renderer is called 'nobody'"):
+        adapters.takes("nobody", "speed")
+
+
+def test_a_pipe_is_no_scene_file(third_party: type, tmp_path: Path) -> None:
+    """Nobody writes into it, so that a renderer that opened it would wait for ever. A folder may be one."""
+    from pmc_sampler import adapters
+
+    os.mkfifo(tmp_path / "pipe")
+    for scene in (tmp_path / "pipe", str(tmp_path / "pipe"), "/dev/null"):
+        with pytest.raises(ValueError, match="is no regular file: copy what it gives into one, and name that"):
+            adapters.load("theirs", scene)
+    assert adapters.load("theirs", tmp_path).scene == tmp_path
 
 
 def test_versions(third_party: type, monkeypatch: pytest.MonkeyPatch) -> None:

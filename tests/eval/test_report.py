@@ -296,7 +296,7 @@ def test_no_results_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[st
     said = capsys.readouterr()
     assert not said.out
     assert said.err.count("\n") == 1
-    assert "none' holds no results of a benchmark" in said.err
+    assert "none' holds no results of a benchmark (No such file or directory); `pmc-sampler bench -o " in said.err
     assert not list(tmp_path.iterdir())
 
 

@@ -111,7 +111,7 @@ def test_povray_s_own_anti_aliasing(run: Any, image: Any) -> None:
         ("--set 2=3", "'2=3' is no setting"),
         ("--set camera=3", "a camera is a Camera, or a mapping"),
         ("-- +A0.1", "'+A0.1' is no option of POV-Ray that can be given here"),
-        ("--renderer opencl -- +K1", "has no option 'options'"),
+        ("--renderer opencl -- +K1", "the renderer 'opencl' takes no options after --: '+K1'"),
         ("--renderer opencl --method native", "'opencl' has no sampling of its own"),
     ],
 )
