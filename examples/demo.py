@@ -10,31 +10,32 @@ import argparse
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pmc_sampler.eval import images, metrics, references
 from pmc_sampler.eval.display import display
-from skimage.filters import gaussian
+from pmc_sampler.eval.metrics.encoded import SSIM_WINDOW
 
 from pmc_sampler import Budget, Config, Result, adapters, render
-from pmc_sampler.cli.arguments import size
+from pmc_sampler.cli.arguments import Parser, seed, size
+from pmc_sampler.cli.errors import CommandError
+from pmc_sampler.cli.optional import load
 from pmc_sampler.cli.progress import progress
 
 SCENE = "cornell-box"
 METHODS = {"pt": ("path tracing", Config.uniform()), "pmc": ("PMC", Config())}
 # The caustic under the glass ball: left, top, right, bottom as shares of the image.
 CAUSTIC = (0.46, 0.64, 0.80, 0.98)
+ERRORS = (ValueError, TypeError, OSError, ImportError, RuntimeError, MemoryError)  # what renderers, too, may raise
 
 
 def main(words: list[str] | None = None) -> int:
     options = arguments(words)
     width, height = options.size
-    options.output.mkdir(parents=True, exist_ok=True)
-    images.check_writable(options.output / "pt.exr")
     began = time.perf_counter()
-    say(f"loading {SCENE} for {options.renderer}")
-    radiance = adapters.load(options.renderer, SCENE, size=(width, height))
+    radiance = prepared(options)
     # The renderer compiles on first use; that is nobody's render time.
     render(radiance, width, height, Budget(spp=1), Config.uniform())
 
@@ -63,17 +64,50 @@ def main(words: list[str] | None = None) -> int:
     return 0
 
 
+def prepared(options: argparse.Namespace) -> Any:
+    """The renderer, once all that can be refused was, and the output folder is there; raises CommandError."""
+    try:
+        check(options)
+        say(f"loading {SCENE} for {options.renderer}")
+        radiance = adapters.load(options.renderer, SCENE, size=options.size)
+        make_folder(options.output)
+    except ERRORS as error:
+        raise CommandError(in_one_line(error)) from error
+    return radiance
+
+
+def check(options: argparse.Namespace) -> None:
+    Budget(spp=options.spp)
+    Config().resolved(*options.size)
+    if min(options.size) < SSIM_WINDOW:
+        shown = "x".join(map(str, options.size))
+        raise ValueError(f"--size is {shown}: expected {SSIM_WINDOW}x{SSIM_WINDOW} at least, which SSIM needs")
+    if options.reference_spp < 1 or options.reference_spp % references.REPLICATES:
+        came, expected = options.reference_spp, references.REPLICATES
+        raise ValueError(f"--reference-spp is {came}: expected a multiple of {expected}, and {expected} at least")
+    if options.output.exists() and not options.output.is_dir():
+        raise ValueError(f"the output {str(options.output)!r} is a file; name a folder")
+    for module in ("OpenImageIO", "skimage", "matplotlib"):
+        load(module, "the demo", "eval")
+
+
+def make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(f"the folder {str(folder)!r} cannot be made: {error.strerror}") from error
+    images.check_writable(folder / "pt.exr")
+
+
 def arguments(words: list[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(
-        description=__doc__.splitlines()[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter
-    )
+    parser = Parser(description=__doc__.splitlines()[0], formatter_class=argparse.ArgumentDefaultsHelpFormatter)
     parser.add_argument(
         "-o", "--output", type=Path, default=Path("demo"), metavar="DIR", help="made where it is missing"
     )
     parser.add_argument("--renderer", default="opencl", help="as `pmc-sampler renderers` lists them")
     parser.add_argument("--size", type=size, default=(320, 240), metavar="WxH", help="of the image, in pixels")
     parser.add_argument("--spp", type=int, default=64, help="samples per pixel, for each method")
-    parser.add_argument("--seed", type=int, default=1, help="of both methods' random numbers")
+    parser.add_argument("--seed", type=seed, default=1, help="of both methods' random numbers")
     parser.add_argument(
         "--reference-spp", type=int, default=1024, help="a multiple of 16; kept in DIR for the next time"
     )
@@ -124,6 +158,8 @@ def strategy_picture(result: Result) -> NDArray[np.float32]:
     """The strategy image so that all of it can be seen: the densities span a thousandfold, so brightness is their
     logarithm, and most pixels have a few samples alone, so the colour is that of a neighbourhood.
     """
+    from skimage.filters import gaussian
+
     strategy = result.film.strategy
     density = np.log(strategy.sum(axis=2, keepdims=True) + 1e-6)
     low, high = np.quantile(density, (0.01, 0.995))
@@ -212,13 +248,20 @@ def say(text: str) -> None:
     print(text, file=sys.stderr, flush=True)
 
 
+def in_one_line(error: Exception) -> str:
+    return " ".join(str(error).split()) or type(error).__name__
+
+
 def command() -> int:
-    """The demo, with one sentence and exit status 2 for settings that cannot be."""
+    """The demo; what it cannot do is one sentence, with exit status 2 for what was asked amiss, 1 for what failed."""
     try:
         return main()
-    except (ValueError, OSError) as error:
+    except CommandError as error:
         print(f"demo: {error}", file=sys.stderr)
-        return 2
+        return error.status
+    except ERRORS as error:
+        print(f"demo failed: {in_one_line(error)}", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

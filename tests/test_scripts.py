@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -38,8 +39,12 @@ def script(checkout: Path) -> Iterator[Callable[[str], ModuleType]]:
         del sys.modules[name]
 
 
-def test_the_demo(script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize("renderer", ["opencl", "mitsuba"])
+def test_the_demo(
+    renderer: str, script: Callable[[str], ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     words = ["-o", str(tmp_path / "out"), "--size", "64x48", "--spp", "8", "--reference-spp", "32"]
+    words += ["--renderer", renderer]
     assert script("examples/demo.py").main(words) == 0
     out = capsys.readouterr().out
     written = set(os.listdir(tmp_path / "out"))
@@ -60,15 +65,95 @@ def test_the_demo(script: Callable[[str], ModuleType], tmp_path: Path, capsys: p
     assert np.isclose(crop.max(), lower.max(), rtol=1e-3)
 
 
-def test_a_demo_that_cannot_be_says_why(
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ("--spp 0", "demo: budget spp is 0: expected samples a pixel above 0"),
+        ("--spp 1.5", "invalid int value: '1.5'"),
+        ("--seed -1", "'-1' is no seed; give a whole number from 0"),
+        ("--size 3x30", "demo: --size is 3x30: expected 11x11 at least, which SSIM needs"),
+        ("--size 99999x30", "demo: the image is 99999x30: expected 1 to 65535 pixels on each side"),
+        ("--reference-spp 3", "demo: --reference-spp is 3: expected a multiple of 16, and 16 at least"),
+        ("--reference-spp 0", "demo: --reference-spp is 0: expected a multiple of 16"),
+        ("--renderer foo", "demo: no renderer is called 'foo'"),
+        ("-o file", "demo: the output 'file' is a file; name a folder"),
+        ("-o file/below", "demo: the folder 'file/below' cannot be made: Not a directory"),
+    ],
+)
+def test_a_demo_that_cannot_be_says_why_and_leaves_nothing(
+    words: str,
+    sentence: str,
     script: Callable[[str], ModuleType],
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
 ) -> None:
-    monkeypatch.setattr("sys.argv", ["demo.py", "-o", str(tmp_path), "--renderer", "foo"])
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "file").write_text("a file")
+    monkeypatch.setattr("sys.argv", ["demo.py", *words.split()])
+    try:
+        status = script("examples/demo.py").command()
+    except SystemExit as stop:
+        status = int(stop.code or 0)
+    *before, said = capsys.readouterr().err.splitlines()
+    assert (status, sentence in said) == (2, True), said
+    assert before in ([], ["loading cornell-box for foo"], ["loading cornell-box for opencl"])
+    assert os.listdir(tmp_path) == ["file"]
+
+
+@pytest.mark.parametrize("kind", [ImportError, MemoryError, RuntimeError, TypeError, OSError])
+def test_a_demo_whose_renderer_fails_says_so(
+    kind: type[Exception],
+    script: Callable[[str], ModuleType],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    """As it is set up, which leaves nothing, and as it renders."""
+
+    def sick(*words: object, **options: object) -> None:
+        raise kind("no light\nhere")
+
+    module = script("examples/demo.py")
+    monkeypatch.setattr("sys.argv", ["demo.py", "-o", str(tmp_path / "out"), "--size", "16x16"])
+    monkeypatch.setattr(module.adapters, "load", sick)
+    assert module.command() == 2
+    assert capsys.readouterr().err.splitlines()[-1] == "demo: no light here"
+    assert os.listdir(tmp_path) == []
+    monkeypatch.setattr(module.adapters, "load", lambda *words, **options: sick)
+    assert module.command() == 1
+    assert capsys.readouterr().err.splitlines()[-1] == "demo failed: no light here"
+
+
+def test_a_demo_without_a_library_names_the_extra(
+    script: Callable[[str], ModuleType],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["demo.py"])
+    monkeypatch.setitem(sys.modules, "skimage", None)
     assert script("examples/demo.py").command() == 2
-    assert capsys.readouterr().err.splitlines()[-1].startswith("demo: no renderer is called 'foo'")
+    assert "pip install 'pmc-sampler[eval]'" in capsys.readouterr().err
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_demo_without_llvm_says_so(checkout: Path, tmp_path: Path) -> None:
+    """In a process of its own, for the library is looked for once."""
+    done = subprocess.run(
+        [sys.executable, checkout / "examples" / "demo.py", "--renderer", "mitsuba"],
+        cwd=tmp_path,
+        env={**os.environ, "DRJIT_LIBLLVM_PATH": "/none/x.so"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2, done.stderr
+    assert done.stderr.splitlines()[-1].startswith("demo: ")
+    assert "Traceback" not in done.stderr
+    assert "DRJIT_LIBLLVM_PATH names /none/x.so, and there is no such file" in done.stderr
+    assert os.listdir(tmp_path) == []
 
 
 def test_the_benchmark_of_overhead(script: Callable[[str], ModuleType], tmp_path: Path) -> None:
