@@ -962,6 +962,7 @@ def test_a_scene_by_every_method(
         ("render pipe.xml", "'pipe.xml' is no regular file"),
         ("render pipe.xml --renderer mitsuba", "'pipe.xml' is no regular file"),
         ("render pipe.pov", "'pipe.pov' is no regular file"),
+        ("render pipe.ini[final]", "'pipe.ini' is no regular file"),
         ("render cornell-box --renderer mitsuba3", "mitsuba"),
         ("render cornell-box --device teapot", "no OpenCL device is called 'teapot'"),
         ("render cornell-box --renderer mitsuba --device 0", "has no option 'device'"),
@@ -977,8 +978,8 @@ def test_bad_scenes_get_one_sentence(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "broken.xml").write_text('<scene version="3.0.0"><shape type="cube">')
     (tmp_path / "picture.gif").write_text("")
-    os.mkfifo(tmp_path / "pipe.xml")
-    os.mkfifo(tmp_path / "pipe.pov")
+    for suffix in ("xml", "pov", "ini"):
+        os.mkfifo(tmp_path / f"pipe.{suffix}")
     before = sorted(os.listdir(tmp_path))
     assert main(words.split()) == 2
     err = capsys.readouterr().err

@@ -23,6 +23,7 @@ def load_renderer(options: argparse.Namespace, settings: Mapping[str, Any]) -> A
     chosen = {"sampler": options.sampler, "size": options.size} | chosen
     try:
         adapters, scene = importlib.import_module("pmc_sampler.adapters"), options.scene
+        adapters.inputs.check_regular(scene_path(scene))  # of an INI file's section, too
         if options.own_options and not adapters.takes(options.renderer, "options"):
             raise TypeError(f"the renderer {options.renderer!r} takes no options after --: {options.own_options[0]!r}")
         if options.scheduler is None:
