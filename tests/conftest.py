@@ -19,7 +19,7 @@ import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import pytest
@@ -53,20 +53,31 @@ def find(name: str) -> ModuleType | str:
         raise LookupError(f"needs the Python module {name} ({error}): pip install '.[all]'") from None
 
 
+def stop(sentence: str) -> NoReturn:
+    """Skips the running test for what is missing, or fails it under CI."""
+    if under_ci():
+        pytest.fail(f"{sentence} (CI is set, where nothing may be missing)", pytrace=False)
+    pytest.skip(sentence)
+
+
 def require_or_stop(name: str) -> ModuleType | str:
     """`find(name)`; where that fails, skips the running test, or fails it under CI."""
     try:
         return find(name)
     except LookupError as error:
-        if under_ci():
-            pytest.fail(f"{error} (CI is set, where nothing may be missing)", pytrace=False)
-        pytest.skip(str(error))
+        stop(str(error))
 
 
 @pytest.fixture(scope="session")
 def require() -> Callable[[str], ModuleType | str]:
     """A function that gives a module or a program's path, or skips (under CI: fails) the test."""
     return require_or_stop
+
+
+@pytest.fixture(scope="session")
+def lacking() -> Callable[[str], NoReturn]:
+    """A function that skips (under CI: fails) the test with a sentence, for a part that no name stands for."""
+    return stop
 
 
 @pytest.fixture(scope="session")

@@ -75,7 +75,7 @@ def _integrator_class(variant: str) -> Any:
                 raise ValueError(f"sampler is {self.sampler!r}: expected one of {', '.join(KINDS)}")
             self.limits = {key: settings.pop(key) for key in ("seconds", "visible_noise") if key in settings}
             if isinstance(settings.get("radii"), str):
-                settings["radii"] = tuple(float(part) for part in settings["radii"].replace(",", " ").split())
+                settings["radii"] = _radii(settings["radii"])
             self.settings = settings
             Config.from_dict(settings)  # a setting that will not do is refused on loading
             Budget(spp=1, **self.limits)
@@ -127,3 +127,11 @@ def _integrator_class(variant: str) -> Any:
             film.put_block(mi.ImageBlock(mi.TensorXf(pixels), mi.ScalarPoint2i(film.crop_offset())))
 
     return PMCIntegrator
+
+
+def _radii(text: str) -> tuple[float, ...]:
+    """The setting `radii`, which a scene file can give as a string alone: "1, 3"."""
+    try:
+        return tuple(float(part) for part in text.replace(",", " ").split())
+    except ValueError:
+        raise ValueError(f'radii is {text!r}: expected 1 to 3 radii in pixels, as in "1, 3"') from None

@@ -13,12 +13,14 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import importlib
 import os
 import platform
 import re
 import subprocess
 import sys
 import sysconfig
+import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -90,7 +92,8 @@ def find(folders: list[Path] | None = None) -> Library:
         library = Library.at(named)
         if os.sep in named and not os.path.isfile(named):
             raise LibraryError(f"{ENVIRONMENT} names {named}, and there is no such file; {_ADVICE}")
-        why = None if _trusted(library) else _trial(named)
+        # Where a name without a folder leads to, the system knows.
+        why = None if os.sep in named and _trusted(library) else _trial(named)
         if why is not None:
             raise LibraryError(f"{ENVIRONMENT} names {library}, which Dr.Jit cannot use ({why}); {_ADVICE}")
         return library
@@ -107,15 +110,19 @@ def find(folders: list[Path] | None = None) -> Library:
 
 
 def prepare() -> None:
-    """Points Dr.Jit to a usable LLVM, unless it is loaded already or the user did so.
+    """Points Dr.Jit to a usable LLVM, unless it is loaded already.
 
     Raises nothing: without a usable LLVM the CUDA and scalar variants still work, and `require` speaks up for
-    the others.
+    the others. In that case Dr.Jit is imported here, so that `require` is alone in saying it.
     """
-    if "drjit" in sys.modules or os.environ.get(ENVIRONMENT) or os.name == "nt":
+    if "drjit" in sys.modules or os.name == "nt":
         return
-    with contextlib.suppress(LibraryError):
+    try:
         os.environ[ENVIRONMENT] = find().path
+    except LibraryError:
+        # Where Dr.Jit is missing, the import of Mitsuba tells.
+        with _without_dr_jits_lines(), contextlib.suppress(ImportError):
+            importlib.import_module("drjit")
 
 
 def require() -> str:
@@ -173,6 +180,31 @@ def _trial(path: str | None) -> str | None:
     if done.returncode < 0:
         return f"it aborts the process with signal {-done.returncode}"
     return "Dr.Jit turns it down"
+
+
+@contextlib.contextmanager
+def _without_dr_jits_lines() -> Iterator[None]:
+    """Keeps from standard error what Dr.Jit writes there of an LLVM that it cannot use; other lines come at the end."""
+    lines = [b"jitc_llvm_init(): ", b"jit_llvm_init(): "]
+    if os.environ.get(ENVIRONMENT):
+        lines.append(b'jit_find_library(): Unable to load "' + os.fsencode(os.environ[ENVIRONMENT]))
+    with contextlib.ExitStack() as open_files:
+        try:
+            kept = open_files.enter_context(tempfile.TemporaryFile())
+            shown = os.dup(2)
+        except OSError:  # there is no place to keep lines, or no standard error
+            yield
+            return
+        open_files.callback(os.close, shown)
+        os.dup2(kept.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(shown, 2)
+            kept.seek(0)
+            others = b"".join(line for line in kept if not line.startswith(tuple(lines)))
+            with contextlib.suppress(OSError):  # as if nobody read them
+                os.write(2, others)
 
 
 def _folders() -> Iterator[Path]:

@@ -100,7 +100,7 @@ def integrator_of(scene: Any, integrator: Any) -> Any:
     """The integrator meant by None (the scene's own), a plugin's name, a plugin's dictionary or a
     `mi.Integrator`.
 
-    Raises ValueError for one that does not return radiance for a ray.
+    Raises ValueError for one that does not return radiance for a ray, TypeError for what is no integrator.
     """
     if integrator is None:
         integrator = scene.integrator()
@@ -111,11 +111,15 @@ def integrator_of(scene: Any, integrator: Any) -> Any:
         integrator = guarded(f"the integrator {plugin.get('type')!r}", mi.load_dict, plugin)
     if hasattr(integrator, "pmc_nested"):  # our own plugin stands for the integrator it steers
         integrator = integrator.pmc_nested
+    if not isinstance(integrator, mi.Integrator):
+        raise TypeError(
+            f"an integrator is a plugin's name, a plugin's dictionary or a mi.Integrator of the variant "
+            f"{mi.variant()}, not {type(integrator).__name__}"
+        )
     if not isinstance(integrator, mi.SamplingIntegrator):
-        name = integrator.class_name() if isinstance(integrator, mi.Integrator) else type(integrator).__name__
         raise ValueError(
-            f"the integrator {name} does not return radiance for a ray (light tracers splat onto pixels of "
-            "their own choice), so that no pixel can be sampled at will; use one that does, such as path"
+            f"the integrator {integrator.class_name()} does not return radiance for a ray (light tracers splat onto "
+            "pixels of their own choice), so that no pixel can be sampled at will; use one that does, such as path"
         )
     return integrator
 

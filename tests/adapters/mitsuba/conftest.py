@@ -22,13 +22,13 @@ def same_variant(mi: Any) -> Any:
 @pytest.fixture(scope="session")
 def agreement(mi: Any, batch_of: Any, image_from: Any, p_value_of: Any) -> Callable[..., float]:
     """A function from a renderer to the p-value of its agreeing with `mi.render` on a scene, its own by
-    default."""
+    default: in RGB and in the channels after it."""
 
     def p_of(renderer: Any, scene: Any = None, sensor: Any = None, spp: int = 32, tile: int = 16) -> float:
         width, height, seeds = renderer.width, renderer.height, 16
-        ours = [
-            image_from(renderer(batch_of(width, height, spp, seed)), width, height)[..., :3] for seed in range(seeds)
-        ]
+        ours = np.array(
+            [image_from(renderer(batch_of(width, height, spp, seed)), width, height) for seed in range(seeds)]
+        )
         with mi.util.variant_context(renderer.variant):
             theirs = [
                 np.array(
@@ -42,7 +42,7 @@ def agreement(mi: Any, batch_of: Any, image_from: Any, p_value_of: Any) -> Calla
                 )
                 for seed in range(seeds)
             ]
-        return p_value_of(np.array(ours), np.broadcast_to(theirs, (seeds, height, width, 3)), tile)
+        return p_value_of(ours, np.broadcast_to(theirs, ours.shape), tile)
 
     return p_of
 

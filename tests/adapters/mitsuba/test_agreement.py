@@ -75,9 +75,75 @@ def test_crop(agreement: Any, small_scene: Any) -> None:
     assert agreement(renderer(small_scene(film=crop))) > ALPHA
 
 
-@pytest.mark.parametrize("integrator", ["direct", "prb"])
+def test_cameras_side_by_side(mi: Any, agreement: Any, small_scene: Any) -> None:
+    """Two on one film. Control: the second of them elsewhere."""
+
+    def scene(x: float) -> dict[str, Any]:
+        one, two = ({k: v for k, v in small_scene()["sensor"].items() if k not in ("film", "sampler")} for _ in "12")
+        two["to_world"] = mi.ScalarTransform4f().look_at([x, 0.3, 3.5], [0, 0, 0], [0, 1, 0])
+        film = {"type": "hdrfilm", "width": 32, "height": 16, "rfilter": {"type": "box"}}
+        return {**small_scene(), "sensor": {"type": "batch", "one": one, "two": two, "film": film}}
+
+    r = renderer(scene(0.5))
+    assert agreement(r, tile=8) > ALPHA
+    assert agreement(r, sensor=mi.load_dict(scene(2.0)).sensors()[0], tile=8) < ALPHA
+
+
+@pytest.mark.parametrize("kind", ["radiancemeter", "irradiancemeter"])
+def test_meters(mi: Any, agreement: Any, small_scene: Any, kind: str) -> None:
+    """On the floor of the box, or looking at it, lit by the lamp alone. Control: a lamp brighter by half."""
+    film = {"type": "hdrfilm", "width": 1, "height": 1, "rfilter": {"type": "box"}}
+    scene = small_scene(sensor=None, integrator={"type": "direct"})
+    if kind == "radiancemeter":
+        scene["sensor"] = {"type": kind, "origin": [0, 0, 0.5], "direction": [-0.5, -1, 0], "film": film}
+    else:
+        del scene["sensor"]
+        place = mi.ScalarTransform4f().translate([-0.5, -0.9, 0.3]).rotate([1, 0, 0], -90).scale(0.2)
+        scene["plate"] = {"type": "rectangle", "to_world": place, "meter": {"type": kind, "film": film}}
+    r = renderer(scene)
+    assert (r.width, r.height) == (1, 1)
+    assert agreement(r, spp=4096, tile=1) > ALPHA
+    brighter = mi.load_dict(scene)
+    parameters = mi.traverse(brighter)
+    key = next(key for key in parameters.keys() if key.endswith("emitter.radiance.value"))  # noqa: SIM118
+    parameters[key] = parameters[key] * 1.5
+    parameters.update()
+    assert agreement(r, scene=brighter, sensor=brighter.sensors()[0], spp=4096, tile=1) < ALPHA
+
+
+@pytest.mark.parametrize(
+    "integrator", ["direct", "direct_projective", "prb", "prb_basic", "prb_projective", "depth", "moment"]
+)
 def test_integrators(agreement: Any, small_scene: Any, integrator: str) -> None:
-    assert agreement(renderer(small_scene(), integrator=integrator)) > ALPHA
+    """Of `moment` the second moments, too, which are channels of their own."""
+    nested = {"nested": {"type": "path", "max_depth": 6}} if integrator == "moment" else {}
+    r = renderer(small_scene(), integrator={"type": integrator, **nested}, size=(16, 16))
+    assert r.aovs == (6 if nested else 0)
+    assert agreement(r, tile=8) > ALPHA
+
+
+@pytest.fixture
+def fog(small_scene: Any) -> Any:
+    """A function that gives the scene with a ball of fog of some density, without a surface, 16x16."""
+
+    def make(density: float) -> dict[str, Any]:
+        medium = {"type": "homogeneous", "albedo": 0.7, "sigma_t": density}
+        ball = {**small_scene()["ball"], "bsdf": {"type": "null"}, "interior": medium}
+        return small_scene(
+            ball=ball, film={"width": 16, "height": 16}, integrator={"type": "prbvolpath", "max_depth": 6}
+        )
+
+    return make
+
+
+@pytest.mark.parametrize("integrator", ["volpath", "volpathmis", "prbvolpath"])
+def test_integrators_of_media(agreement: Any, fog: Any, integrator: str) -> None:
+    assert agreement(renderer(fog(3.0), integrator={"type": integrator, "max_depth": 6}), tile=8) > ALPHA
+
+
+def test_thinner_fog_is_seen(mi: Any, agreement: Any, fog: Any) -> None:
+    """Control of the test before."""
+    assert agreement(renderer(fog(3.0)), scene=mi.load_dict(fog(1.0)), tile=8) < ALPHA
 
 
 def test_camera_in_a_medium(agreement: Any, small_scene: Any) -> None:
@@ -86,16 +152,24 @@ def test_camera_in_a_medium(agreement: Any, small_scene: Any) -> None:
     assert agreement(renderer(scene), spp=16) > ALPHA
 
 
-@pytest.mark.parametrize("variant", ["llvm_ad_spectral", "llvm_ad_mono"])
-def test_variants(mi: Any, agreement: Any, small_scene: Any, variant: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    "variant", ["llvm_ad_spectral", "llvm_ad_mono", "cuda_ad_rgb", "cuda_ad_spectral", "cuda_ad_mono"]
+)
+def test_variants(
+    mi: Any, agreement: Any, small_scene: Any, variant: str, monkeypatch: pytest.MonkeyPatch, lacking: Any
+) -> None:
     """The control drops the weight that makes up for the sensor's choice of wavelengths (monochrome has
-    none)."""
+    none). CUDA variants take part where there is a device; nobody can be asked to install one."""
+    from pmc_sampler.adapters.mitsuba import variants
+
     if variant not in mi.variants():
-        pytest.skip(f"this Mitsuba was built without {variant}")
+        lacking(f"needs a Mitsuba that was built with {variant}: pip install '.[all]'")
+    if variant.startswith("cuda") and (trouble := variants.backend_trouble(variant)):
+        pytest.skip(trouble)
     pixel_format = "luminance" if variant.endswith("mono") else "rgb"
     r = renderer(small_scene(film={"pixel_format": pixel_format}), variant=variant)
     assert agreement(r, spp=16) > ALPHA
-    if variant == "llvm_ad_spectral":
+    if variant.endswith("spectral"):
         camera = type(r._evaluate._camera)
         true = camera.__call__
         monkeypatch.setattr(camera, "__call__", lambda *arguments: (true(*arguments)[0], 1.0))

@@ -94,7 +94,11 @@ def test_scenes_that_lack_a_part(small_scene: Any) -> None:
         ({"sensor": "main"}, TypeError, r"a sensor is the index .* not 'main'"),
         ({"integrator": "ptracer"}, ValueError, r"does not return radiance for a ray"),
         ({"integrator": "pathh"}, ValueError, r"cannot load the integrator 'pathh'"),
-        ({"integrator": 3}, ValueError, r"the integrator int does not return radiance"),
+        (
+            {"integrator": 3},
+            TypeError,
+            r"^an integrator is a plugin's name, .* or a mi\.Integrator of the variant \w+, not int$",
+        ),
         ({"sampler": "halton"}, ValueError, r"a sampler is 'sobol' or 'independent', not 'halton'"),
         ({"variant": "scalar_rgb"}, ValueError, r"scalar variants follow one ray at a time"),
         ({"variant": "llvm_ad_mono_polarized"}, ValueError, r"polarised variants carry Stokes vectors"),
@@ -131,6 +135,12 @@ def test_scenes_of_other_variants(mi: Any, small_scene: Any) -> None:
         scalar = mi.load_dict(small_scene())
     with pytest.raises(ValueError, match="scalar variants follow one ray at a time"):
         renderer(scalar)
+
+
+def test_integrators_of_other_variants(mi: Any, small_scene: Any) -> None:
+    integrator = mi.load_dict({"type": "path"})
+    with pytest.raises(TypeError, match=r"a mi\.Integrator of the variant llvm_ad_mono, not \w+Integrator$"):
+        renderer(small_scene(film={"pixel_format": "luminance"}), integrator=integrator, variant="llvm_ad_mono")
 
 
 def test_an_active_scalar_variant_is_no_obstacle(mi: Any) -> None:

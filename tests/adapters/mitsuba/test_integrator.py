@@ -124,6 +124,11 @@ def test_reconstruction_filter(mi: Any, scene_with: Any, p_value_of: Any) -> Non
             pmc('<string name="sampler" value="halton"/>'),
             "sampler is 'halton': expected one of sobol, independent",
         ),
+        (
+            pmc('<string name="radii" value="a,b"/>'),
+            r"ValueError: radii is 'a,b': expected 1 to 3 radii in pixels, as in \"1, 3\"\s*$",
+        ),
+        (pmc('<string name="radii" value=""/>'), "radii holds no values: expected 1 to 3 radii in pixels"),
         (pmc('<float name="seconds" value="-1"/>'), "seconds"),
         (pmc(nested='<integrator type="ptracer"/>'), "does not return radiance for a ray"),
         (

@@ -1,11 +1,13 @@
 """Which LLVM is taken, and what is said where none will do.
 
-Exact; the libraries are empty files and their trial is made up, but for the last test.
+Exact; the libraries are empty files and their trial is made up, but where the real thing is meant.
 """
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +91,68 @@ def test_the_users_choice_is_checked(llvm: Any, tmp_path: Path, monkeypatch: pyt
     monkeypatch.setenv(llvm.ENVIRONMENT, str(tmp_path / "libLLVM.so.40"))
     with pytest.raises(llvm.LibraryError, match=r"names .*libLLVM\.so\.40, and there is no such file"):
         llvm.find(folders)
+
+
+def test_a_name_without_a_folder_is_tried(llvm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The system's loader knows where it leads to, if anywhere."""
+    monkeypatch.setattr(llvm, "_trial", lambda path: "Dr.Jit turns it down")
+    monkeypatch.setenv(llvm.ENVIRONMENT, "libLLVM.so.21.1")
+    with pytest.raises(llvm.LibraryError, match=r"names LLVM 21 \(libLLVM\.so\.21\.1\), which Dr\.Jit cannot use"):
+        llvm.find()
+
+
+def run(program: str, library: Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    """The program in a process of its own, where DRJIT_LIBLLVM_PATH names the library."""
+    environment = {**os.environ, "DRJIT_LIBLLVM_PATH": str(library)}
+    command = [sys.executable, "-c", program]
+    return subprocess.run(
+        command, env=environment, cwd=folder, capture_output=True, text=True, timeout=100, check=False
+    )
+
+
+@pytest.mark.needs("OpenImageIO")
+def test_a_wrong_choice_is_one_sentence(tmp_path: Path) -> None:
+    """The real thing: Dr.Jit has nothing to add to it, and nothing is rendered."""
+    program = """
+import sys
+from pmc_sampler.cli import main
+sys.argv[1:] = ["render", "cornell-box", "--renderer", "mitsuba", "--spp", "1", "--size", "8x6"]
+sys.exit(main())
+"""
+    library = tmp_path / "none" / "libLLVM.so"
+    done = run(program, library, tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == (
+        "pmc-sampler render: Mitsuba variant 'llvm_ad_rgb' cannot run here: "
+        f"DRJIT_LIBLLVM_PATH names {library}, and there is no such file; install LLVM 19 or newer "
+        "(Debian: `apt-get install libllvm19`), or name one in DRJIT_LIBLLVM_PATH\n"
+    )
+    assert os.listdir(tmp_path) == []
+
+
+def test_a_wrong_choice_is_no_matter_without_llvm(tmp_path: Path) -> None:
+    """The real thing: variants that need no LLVM work, and nothing is said. The file is there, and no library."""
+    (tmp_path / "libLLVM.so").write_text("none")
+    program = """
+import pmc_sampler.adapters.mitsuba, mitsuba
+mitsuba.set_variant("scalar_rgb")
+print(mitsuba.load_dict({"type": "sphere"}).class_name())
+"""
+    done = run(program, tmp_path / "libLLVM.so", tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "Sphere\n", "")
+
+
+def test_other_lines_on_standard_error_come_through(
+    llvm: Any, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv(llvm.ENVIRONMENT, "/none/libLLVM.so")
+    with llvm._without_dr_jits_lines():
+        os.write(2, b'one\njit_find_library(): Unable to load "/none/libLLVM.so": no such file\n')
+        os.write(2, b'jitc_llvm_init(): failed\njit_find_library(): Unable to load "libcuda.so": no such file\ntwo')
+        assert capfd.readouterr().err == ""
+    assert capfd.readouterr().err == 'one\njit_find_library(): Unable to load "libcuda.so": no such file\ntwo'
+    os.write(2, b"three")
+    assert capfd.readouterr().err == "three"
 
 
 def test_an_old_library_that_is_loaded_is_refused(llvm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
