@@ -47,7 +47,7 @@ fuzz: setup
 bench: setup
 	$(BIN)/pmc-sampler bench $(SUITE_ARGS)
 	$(BIN)/pmc-sampler bench benchmarks/gains.toml -o results/gains
-	cp results/gains/results.md benchmarks/gains.md
+	sed 's|results/gains/suite.toml -o results/gains|benchmarks/gains.toml -o DIR|' results/gains/results.md > benchmarks/gains.md
 	$(BIN)/python benchmarks/overhead.py $(BENCH_ARGS)
 	$(BIN)/python benchmarks/mitsuba_throughput.py $(BENCH_ARGS)
 	$(BIN)/python benchmarks/opencl.py $(BENCH_ARGS)
