@@ -84,9 +84,11 @@ def measure(width: int, height: int, config: Config, spp: int, threads: int, see
         told = time.perf_counter()
         ask += asked - start
         tell += told - ready
+        samples = len(batch)
+        del batch  # as `Sampler.run` does: its memory serves for the next
         if sampler.spp > initial(spp):
             late += asked - start + told - ready
-            late_samples += len(batch)
+            late_samples += samples
     adaptive = 1e9 * late / late_samples if late_samples else math.nan
     return Cost(1e9 * ask / sampler.samples, 1e9 * tell / sampler.samples, adaptive)
 

@@ -26,7 +26,7 @@
 
 namespace pmc {
 
-// Bytes of any value, or zeros; they begin with a cache line, as some renderers have it. A large block asks for huge pages, where the system has them (Linux):
+// Bytes of any value, or zeros that begin with a cache line. A large block asks for huge pages, where the system has them (Linux):
 // the film is larger than the caches, samples jump about in it, and with pages of 4 KiB the translation of addresses, and above all
 // the first touch of every page, cost as much as what is computed.
 class Block {
@@ -45,9 +45,9 @@ public:
             return;
         }
 #endif
-        block_ = zeroed ? std::calloc(bytes + line, 1) : std::malloc(bytes + line);
-        if (!block_) throw std::bad_alloc();
-        data_ = align(line, bytes, bytes + line);
+        block_ = zeroed ? std::calloc(bytes + line, 1) : std::malloc(bytes);
+        if (!block_ && (zeroed || bytes)) throw std::bad_alloc();
+        data_ = zeroed ? align(line, bytes, bytes + line) : block_;
     }
     Block(Block&& other) noexcept { swap(other); }
     Block& operator=(Block&& other) noexcept {

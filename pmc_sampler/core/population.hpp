@@ -3,9 +3,10 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
+#include <bit>
 #include <cmath>
 #include <cstdint>
-#include <functional>
 #include <iterator>
 #include <limits>
 #include <numeric>
@@ -14,6 +15,7 @@
 #include "batch.hpp"
 #include "config.hpp"
 #include "memory.hpp"
+#include "multiversion.hpp"
 #include "parallel.hpp"
 #include "random.hpp"
 #include "tiling.hpp"
@@ -132,6 +134,43 @@ inline Point2 in_disk(const Stream& stream, std::uint32_t counter, std::uint32_t
     return {p.x * r, p.y * r};
 }
 
+// The natural logarithm of a number above 0 that is not denormal, to 3e-7 of itself, for vectors: log m = 2 artanh((m - 1) / (m + 1)).
+[[gnu::always_inline]] inline float logarithm(float x) {
+    const auto bits = std::bit_cast<std::uint32_t>(x), root = std::bit_cast<std::uint32_t>(0.70710678f);
+    const std::int32_t exponent = static_cast<std::int32_t>(bits - root) >> 23;
+    const float m = std::bit_cast<float>(bits - (static_cast<std::uint32_t>(exponent) << 23));  // between the roots of 1/2 and of 2
+    const float s = (m - 1.0f) / (m + 1.0f), z = s * s;
+    return 2.0f * s * (1.0f + z * (1.0f / 3 + z * (1.0f / 5 + z * (1.0f / 7 + z / 9)))) + static_cast<float>(exponent) * 0.69314718f;
+}
+
+// -log(u) / w of each weight w, in its place; less is better. Without weight, after all others and at random.
+PMC_MULTIVERSION inline void weights_to_keys(const Stream& stream, float* weights, std::size_t n) {
+    constexpr float largest = std::numeric_limits<float>::max();
+    for (std::size_t i = 0; i < n; ++i) {
+        const auto word = static_cast<std::int32_t>(stream.word(static_cast<std::uint32_t>(i)) >> 9);
+        const float u = (static_cast<float>(word) + 0.5f) * 0x1p-23f;  // below 1, so that log(u) is below 0
+        const bool has_weight = weights[i] > 0.0f;
+        const float key = -logarithm(u) / (has_weight ? weights[i] : 1.0f);
+        weights[i] = has_weight && key < largest ? key : largest * (1.0f - 0.5f * u);
+    }
+}
+
+// The value in place `rank`, from 0, of positive numbers in rising order. As integers they are in the same one: a histogram of their
+// first bits leaves few of them, where a partition of all has a branch for each that nobody can predict.
+inline float of_rank(const std::vector<float>& values, std::size_t rank, std::vector<float>& scratch) {
+    constexpr int rest = 19;
+    const auto bin_of = [](float value) { return std::bit_cast<std::uint32_t>(value) >> rest; };
+    std::array<std::uint32_t, (0x7f800000u >> rest) + 1> bins{};
+    for (const float value : values) ++bins[bin_of(value)];
+    std::uint32_t bin = 0;
+    for (; rank >= bins[bin]; ++bin) rank -= bins[bin];
+    scratch.clear();
+    std::copy_if(values.begin(), values.end(), std::back_inserter(scratch), [&](float value) { return bin_of(value) == bin; });
+    const auto place = scratch.begin() + static_cast<std::ptrdiff_t>(rank);
+    std::nth_element(scratch.begin(), place, scratch.end());
+    return *place;
+}
+
 struct Population {
     std::vector<Member> members;
     std::uint64_t iteration = 0;
@@ -149,27 +188,18 @@ struct Population {
         }
         gone.clear();
         if (survivors >= n) return;
-        // log(u) / w, larger is better; without weight, after all others and at random.
         key_.resize(n);
-        for (std::size_t i = 0; i < n; ++i) {
-            const float weight = members[i].all.variance() / static_cast<float>(std::max(1u, members[i].rounds));
-            const float u = (static_cast<float>(stream.word(static_cast<std::uint32_t>(i)) >> 8) + 0.5f) * 0x1p-24f;
-            const float score = weight > 0.0f ? std::log(u) / weight : -std::numeric_limits<float>::infinity();
-            key_[i] = score > -std::numeric_limits<float>::max() ? score : -std::numeric_limits<float>::max() * (0.5f + 0.5f * u);
-        }
-        sorted_ = key_;
-        const auto last_kept = sorted_.begin() + static_cast<std::ptrdiff_t>(survivors - 1);
-        std::nth_element(sorted_.begin(), last_kept, sorted_.end(), std::greater<>());
-        const float threshold = *last_kept;
+        for (std::size_t i = 0; i < n; ++i) key_[i] = members[i].all.variance() / static_cast<float>(std::max(1u, members[i].rounds));
+        weights_to_keys(stream, key_.data(), n);
+        const float threshold = of_rank(key_, survivors - 1, scratch_);
         // Among equal keys the first members stay.
-        auto ties = survivors - static_cast<std::size_t>(std::count_if(key_.begin(), key_.end(), [&](float k) { return k > threshold; }));
+        auto ties = survivors - static_cast<std::size_t>(std::count_if(key_.begin(), key_.end(), [&](float k) { return k < threshold; }));
         gone.resize(n + 1);
         std::size_t count = 0;
         for (std::uint32_t i = 0; i < n; ++i) {
-            const bool tied = key_[i] == threshold, stays = key_[i] > threshold || (tied && ties > 0);
-            ties -= tied && ties > 0;
             gone[count] = i;  // overwritten by the next where this one stays: no branch that nobody can predict
-            count += !stays;
+            count += key_[i] > threshold;
+            if (key_[i] == threshold) ties > 0 ? --ties : ++count;
         }
         gone.resize(count);
     }
@@ -272,7 +302,7 @@ struct Population {
     }
 
 private:
-    std::vector<float> key_, sorted_;  // scratch: memory that is taken anew costs more than what is done with it
+    std::vector<float> key_, scratch_;  // memory that is taken anew costs more than what is done with it
 };
 
 }  // namespace pmc

@@ -51,6 +51,7 @@ pmc::Config random_config(std::uint32_t width, std::uint32_t height) {
     c.correction_sigma = 0.5 + 30.0 * share();
     if (below(4) == 0) {
         c.estimator = pmc::Estimator::unbiased;
+        c.population = 0;
         c.initial_spp = pmc::Config::automatic;
     }
     return c;

@@ -11,7 +11,7 @@ import pytest
 pytestmark = pytest.mark.needs("c++")
 
 
-@pytest.mark.parametrize("part", ["film", "pool", "systematic", "parallel", "rounding", "perception"])
+@pytest.mark.parametrize("part", ["film", "pool", "systematic", "population", "parallel", "rounding", "perception"])
 def test_pieces(part: str, build: Callable[[str, list[str]], Path]) -> None:
     """A part that keeps what its header says has nothing to say, and no thread of it waits forever."""
     program = build(f"tests/sampler/pieces/{part}.cpp", ["-O2"])
