@@ -20,7 +20,6 @@ from .samplers import sampler_class
 
 __all__ = ["Evaluator"]
 
-Channels = tuple[Any, ...]
 Measured = tuple[Any, Any, list[Any]]  # spectrum, wavelengths, AOVs
 _suspended: Any = dr.suspend_grad  # untyped in Dr.Jit
 # The one camera of Mitsuba 3.9 that names all of its state to Dr.Jit. Rays of the others are traced anew for
@@ -29,11 +28,13 @@ _RECORDABLE_CAMERAS = ("PerspectiveCamera",)
 
 
 class Evaluator:
-    """The radiance of samples, for fixed plugins: `evaluator(x, y, scramble, index) -> channels`.
+    """The radiance of samples, for fixed plugins: `evaluator(positions, scramble, index) -> radiance`.
 
-    `x` and `y` are `mi.Float` in pixels from the top-left corner of the film's crop, `scramble` and `index`
-    `mi.UInt32`, all of one length; the channels are `mi.Float` of that length (or of length one, where they
-    are constant): red, green, blue, then the integrator's own (AOVs). `kind` is one of `samplers.KINDS`.
+    `positions` is a `mi.UInt64` whose numbers are two single-precision floats each, x and y in pixels from the top-left
+    corner of the film's crop (in memory the rows of an (n, 2) array; being of the batch's length they need no kernel of
+    their own to be taken apart); `scramble` and `index` are `mi.UInt32`, all of one length. The radiance is a
+    `mi.Float`, sample after sample red, green, blue, then the integrator's own channels (AOVs); that of one sample
+    where all are alike. `kind` is one of `samplers.KINDS`.
 
     Only the dimensions that the sensor uses are drawn: a lens where it has one, a time where the shutter
     stays open, a wavelength where the variant is spectral. To be made and called with `variant` active.
@@ -62,22 +63,23 @@ class Evaluator:
         """How often the evaluation has been recorded so far."""
         return int(self._replayed.n_recordings)
 
-    def __call__(self, x: Any, y: Any, scramble: Any, index: Any) -> Channels:
-        """The channels of the samples at (x, y)."""
+    def __call__(self, positions: Any, scramble: Any, index: Any) -> Any:
+        """The radiance of the samples at these positions."""
         with _suspended():
-            value, wavelengths, aovs = self._measure(x, y, scramble, index)
+            value, wavelengths, aovs = self._measure(positions, scramble, index)
             if mi.is_spectral:  # here, for Mitsuba keeps its table of the observer where a recording cannot see it
                 value = mi.spectrum_to_srgb(value, wavelengths)
             elif mi.is_monochromatic:
                 value = mi.Color3f(value[0])
-        return (value[0], value[1], value[2], *aovs)
+            # Not in the recording: replayed for more samples, it would scatter to an array as short as at first.
+            return dr.ravel(mi.ArrayXf(value[0], value[1], value[2], *aovs))
 
-    def _measure(self, x: Any, y: Any, scramble: Any, index: Any) -> Measured:
+    def _measure(self, positions: Any, scramble: Any, index: Any) -> Measured:
         if self.frozen == "nothing":
-            return self._all(*self._plugins, x, y, scramble, index)
-        arguments = (x, y)
+            return self._all(*self._plugins, positions, scramble, index)
+        arguments: tuple[Any, ...] = (positions,)
         if self.frozen == "paths":
-            arguments = self._camera(self._plugins[1], self._sampler(scramble, index), x, y)
+            arguments = self._camera(self._plugins[1], self._sampler(scramble, index), *_coordinates(positions))
             dr.eval(arguments)
         first = not self._replayed.n_cached_recordings
         try:
@@ -88,16 +90,16 @@ class Evaluator:
                 raise
         warnings.warn("Dr.Jit cannot record this scene, so that each batch costs about 2 ms more", stacklevel=4)
         self.frozen = "nothing"
-        return self._measure(x, y, scramble, index)
+        return self._measure(positions, scramble, index)
 
     def _sampler(self, scramble: Any, index: Any) -> Any:
         sampler = self._sampler_type()
         sampler.start(scramble, index)
         return sampler
 
-    def _all(self, scene: Any, sensor: Any, integrator: Any, x: Any, y: Any, scramble: Any, index: Any) -> Measured:
+    def _all(self, scene: Any, sensor: Any, integrator: Any, positions: Any, scramble: Any, index: Any) -> Measured:
         sampler = self._sampler(scramble, index)
-        ray, weight = self._camera(sensor, sampler, x, y)
+        ray, weight = self._camera(sensor, sampler, *_coordinates(positions))
         return self._radiance(scene, sensor, integrator, sampler, ray, weight)
 
     def _paths(
@@ -123,3 +125,10 @@ class Evaluator:
         else:
             value, _, aovs = integrator.sample(scene, sampler, ray, sensor.get_medium(), mi.Bool(True))
         return value * weight, ray.wavelengths, list(aovs)
+
+
+def _coordinates(positions: Any) -> tuple[Any, Any]:
+    """x and y as `mi.Float`."""
+    x, y = mi.UInt32(positions & 0xFFFFFFFF), mi.UInt32(positions >> 32)
+    single = dr.float32_array_t(mi.Float)
+    return mi.Float(dr.reinterpret_array(single, x)), mi.Float(dr.reinterpret_array(single, y))

@@ -143,33 +143,30 @@ class MitsubaRenderer:
         Raises TypeError for what is no batch.
         """
         positions, scramble, index = samples_of(batch, "a MitsubaRenderer")
-        out = np.empty((len(positions), 3 + self.aovs), np.float32)
-        if len(out) == 0:
-            return out
+        n, channels = len(positions), 3 + self.aovs
+        if n == 0:
+            return np.empty((0, channels), np.float32)
+        if n == 1:  # Dr.Jit treats arrays of length one as scalars and would record a function of its own
+            positions, scramble, index = (np.repeat(values, 2, axis=0) for values in (positions, scramble, index))
         # One call at a time: the arrays below are Dr.Jit's until the result has been read. The variant has to
         # be the active one only while a function is recorded, but nobody can tell beforehand when that is.
-        with self._lock, variants.active(self.variant), blocks.divided(len(out)):
-            columns = (
-                self._types.Float(self._aligned("x", positions[:, 0], np.float32)),
-                self._types.Float(self._aligned("y", positions[:, 1], np.float32)),
+        with self._lock, variants.active(self.variant), blocks.divided(n):
+            pairs = np.ascontiguousarray(positions, np.float32).view(np.uint64)[:, 0]
+            radiance = self._evaluate(
+                self._types.UInt64(self._aligned("positions", pairs, np.uint64)),
                 self._types.UInt32(self._aligned("scramble", scramble, np.uint32)),
                 self._types.UInt32(self._aligned("index", index, np.uint32)),
             )
-            channels = self._evaluate(*columns)
-            for k, channel in enumerate(channels):
-                out[:, k] = channel.numpy()[: len(out)]
-        return out
+            out = radiance.numpy().reshape(-1, channels)
+        # One row where radiance is the same everywhere.
+        return np.ascontiguousarray(np.broadcast_to(out[:n], (n, channels)), np.float32)
 
     def _aligned(self, name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:
         """`values` as a contiguous aligned array: itself if it is one, else a copy in a buffer that is kept
         for the next batch.
-
-        A single sample is doubled: Dr.Jit treats arrays of length one as scalars and would record a function
-        of its own.
         """
-        size = max(len(values), 2)
-        ready = values.dtype == dtype and values.flags.c_contiguous and values.ctypes.data % _ALIGNMENT == 0
-        if ready and len(values) == size:
+        size = len(values)
+        if values.dtype == dtype and values.flags.c_contiguous and values.ctypes.data % _ALIGNMENT == 0:
             return values
         buffer = self._buffers.get(name)
         if buffer is None or len(buffer) < size:
