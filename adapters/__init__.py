@@ -93,7 +93,8 @@ def available() -> list[Availability]:
             detail = kind.probe() if hasattr(kind, "probe") else getattr(kind, "__module__", name)
             result.append(Availability(name, str(detail)))
         except Exception as error:  # a listing has to outlive whatever a third party's renderer does
-            result.append(Availability(name, None, " ".join(str(error).split()) or type(error).__name__))
+            trouble = " ".join(str(error).split()).removeprefix(_cannot_run(name))
+            result.append(Availability(name, None, trouble or type(error).__name__))
     return result
 
 
@@ -141,7 +142,11 @@ def _found(name: str) -> Callable[..., Any]:
         own: Callable[..., Any] = getattr(importlib.import_module(f".{module}", __name__), attribute)
         return own
     except (ImportError, AttributeError) as error:
-        raise RuntimeError(f"the renderer {name!r} cannot run here: {error}") from error
+        raise RuntimeError(f"{_cannot_run(name)}{error}") from error
+
+
+def _cannot_run(name: str) -> str:
+    return f"the renderer {name!r} cannot run here: "
 
 
 def _check_options(name: str, kind: Callable[..., Any], options: dict[str, Any]) -> None:

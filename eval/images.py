@@ -65,7 +65,9 @@ def check_writable(path: str | os.PathLike[str], suffix: str = ".exr") -> Path:
         raise ImageError(f"the folder {str(target.parent)!r} of the output {trouble} another.")
     if target.is_dir():
         raise ImageError(f"the output {str(target)!r} is a folder; name a file in it.")
-    probe = _beside(target)
+    if target.exists() and not target.is_file():
+        raise ImageError(f"the output {str(target)!r} is no regular file; name another.")
+    probe = _beside(_real(target))
     try:
         probe.touch(exist_ok=False)
         probe.unlink()
@@ -200,7 +202,7 @@ def _layers(planes: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.floa
 
 def _write(path: str | os.PathLike[str], values: NDArray[Any], names: list[str], metadata: Mapping[str, Any]) -> None:
     oiio = require()
-    target = Path(path)
+    target = _real(path)
     kind = oiio.UINT8 if values.dtype == np.uint8 else oiio.FLOAT
     spec = oiio.ImageSpec(values.shape[1], values.shape[0], values.shape[2], kind)
     spec.channelnames = tuple(names)
@@ -220,6 +222,11 @@ def _write(path: str | os.PathLike[str], values: NDArray[Any], names: list[str],
         raise ImageError(f"{str(target)!r} cannot be written: {error.strerror}.") from error
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _real(path: str | os.PathLike[str]) -> Path:
+    # A link stays; what it leads to is replaced.
+    return Path(os.path.realpath(path))
 
 
 def _beside(target: Path) -> Path:

@@ -24,6 +24,8 @@ def connect(address: str) -> Any:
         raise ClusterError(
             f"a cluster needs Dask, which cannot be imported ({error}): pip install 'pmc-sampler[dask]'."
         ) from error
+    if ":" not in address:  # Dask would look for it for long
+        raise ClusterError(f"{address!r} is no address of a Dask scheduler; give one such as tcp://host:8786.")
     try:
         return distributed.Client(address, timeout=TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:

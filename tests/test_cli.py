@@ -312,7 +312,7 @@ BAD = [
     ("render here --spp many", "not a number above 0"),
     ("render here --seconds -1", "above 0"),
     ("render here --visible-noise 2", "share"),
-    ("render here --visible-noise 0", "between 0 and 1"),
+    ("render here --visible-noise 0", "not a share above 0 and below 1"),
     ("render here --seed -1", "no seed"),
     ("render here --seed 18446744073709551616", "no seed"),
     ("render here --seed 1.5", "no seed"),

@@ -5,6 +5,7 @@ Programs are built once for all tests. Statistical: the error of the example's P
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from collections.abc import Callable
@@ -114,6 +115,9 @@ def test_it_measures_its_own_error(spheres: Path, tmp_path: Path) -> None:
         (["9", "9", "4", "a.pfm", "--seed"], 2, "--seed expects a number after it"),
         (["60000", "60000", "4", "missing/a.pfm"], 2, "cannot write 'missing/a.pfm': expected a file in a folder"),
         (["9", "9", "4", "."], 2, "cannot write '.'"),
+        (["9", "9", "4", ""], 2, "cannot write ''"),
+        (["9.5", "9", "4", "a.pfm"], 2, "WIDTH is '9.5': expected a whole number"),
+        (["9", "9", "4", "a.pfm", "--threads", "1.5"], 2, "--threads is '1.5': expected a whole number"),
     ],
 )
 def test_bad_arguments(arguments: list[str], status: int, sentence: str, spheres: Path, tmp_path: Path) -> None:
@@ -134,8 +138,29 @@ def test_a_file_that_is_there_stays_where_the_new_one_cannot_be_written(spheres:
         cwd=tmp_path,
         check=False,
     )
-    assert (process.returncode, process.stderr) == (1, "spheres: cannot write 'a.pfm'\n")
+    assert (process.returncode, process.stderr) == (1, f"spheres: cannot write '{tmp_path.resolve() / 'a.pfm'}'\n")
     assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {"a.pfm": "of before"}
+
+
+def test_links_stay_and_pipes_are_refused(spheres: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.pfm").write_text("of before")
+    (tmp_path / "link.pfm").symlink_to("a.pfm")
+    run(spheres, 8, 8, 1, tmp_path / "link.pfm")
+    assert (tmp_path / "link.pfm").is_symlink()
+    assert read_pfm(tmp_path / "a.pfm").shape == (8, 8, 3)
+    os.mkfifo(tmp_path / "pipe.pfm")
+    process = subprocess.run(
+        [spheres, "8", "8", "1", tmp_path / "pipe.pfm"], capture_output=True, text=True, check=False
+    )
+    assert process.returncode == 2
+    assert "pipe.pfm': expected a file" in process.stderr
+    assert (tmp_path / "pipe.pfm").is_fifo()
+
+
+def test_help(spheres: Path) -> None:
+    process = subprocess.run([spheres, "--help"], capture_output=True, text=True, check=False)
+    assert (process.returncode, process.stderr) == (0, "")
+    assert process.stdout.startswith("usage: spheres WIDTH HEIGHT SPP OUT.pfm")
 
 
 def test_there_is_no_python_in_it(spheres: Path, checkout: Path) -> None:

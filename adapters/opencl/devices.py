@@ -2,11 +2,28 @@
 
 from __future__ import annotations
 
+import atexit
 import os
 import re
+import shutil
+import tempfile
 import warnings
+from pathlib import Path
 from typing import Any
 
+
+def _with_cache() -> None:
+    """Gives PoCL and pyopencl a folder for what they compile where the user has none: PoCL has no device without."""
+    folder = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
+    try:
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        tempfile.TemporaryFile(dir=folder).close()
+    except OSError:
+        made = os.environ["XDG_CACHE_HOME"] = tempfile.mkdtemp(prefix="pmc_sampler-")
+        atexit.register(shutil.rmtree, made, ignore_errors=True)
+
+
+_with_cache()
 with warnings.catch_warnings():
     warnings.simplefilter("ignore")  # pyopencl warns of caches it cannot open; that is for those who look for it
     import pyopencl as cl

@@ -1,5 +1,6 @@
 // Renders the room of scene.hpp with pmc_sampler in C++ alone:  spheres WIDTH HEIGHT SPP OUT.pfm [options]
 #include <chrono>
+#include <cmath>
 #include <cstdio>
 #include <cstdlib>
 #include <filesystem>
@@ -74,11 +75,14 @@ Render render(const Options& options, double spp, std::uint64_t seed, bool unifo
 // Written beside the output and renamed, so that a file that is there stays whole until the new one is.
 std::string beside(const std::string& output) { return output + ".part"; }
 
-// Before hours of rendering, not after.
-void check_writable(const std::string& output) {
-    if (std::filesystem::is_directory(output) || !std::ofstream(beside(output)))
+// The file to write, where a link leads to; before hours of rendering it is sure that it can be, not after.
+std::string checked_output(const std::string& output) {
+    namespace fs = std::filesystem;
+    const bool exists = fs::exists(output);
+    if (output.empty() || (exists && !fs::is_regular_file(output)) || !std::ofstream(beside(output)))
         throw std::invalid_argument("cannot write '" + output + "': expected a file in a folder that exists and takes files");
-    std::filesystem::remove(beside(output));
+    fs::remove(beside(output));
+    return exists ? fs::canonical(output).string() : output;
 }
 
 // Portable float map: rows from the bottom up, little-endian.
@@ -88,11 +92,12 @@ void write_pfm(const Options& options, const std::vector<float>& image) {
     const std::size_t row = 3 * std::size_t(options.width);
     for (std::size_t y = options.height; y-- > 0;) file.write(reinterpret_cast<const char*>(&image[y * row]), static_cast<std::streamsize>(row * sizeof(float)));
     file.close();
-    if (!file) {
-        std::filesystem::remove(beside(options.output));
+    std::error_code failed;
+    if (file) std::filesystem::rename(beside(options.output), options.output, failed);
+    if (!file || failed) {
+        std::filesystem::remove(beside(options.output), failed);
         throw std::runtime_error("cannot write '" + options.output + "'");
     }
-    std::filesystem::rename(beside(options.output), options.output);
 }
 
 // Mean squared error, and that of luminance in units of the just noticeable difference (white at 100 cd/m2).
@@ -119,6 +124,12 @@ double number(const char* text, const char* name, double low, double high) {
     return value;
 }
 
+std::uint64_t whole(const char* text, const char* name, double low, double high) {
+    const double value = number(text, name, low, high);
+    if (value != std::floor(value)) throw std::invalid_argument(std::string(name) + " is '" + text + "': expected a whole number");
+    return static_cast<std::uint64_t>(value);
+}
+
 constexpr const char* usage =
     "usage: spheres WIDTH HEIGHT SPP OUT.pfm [--uniform] [--seed N] [--threads N] [--reference SPP]\n"
     "  --uniform        the same number of samples for every pixel\n"
@@ -127,20 +138,20 @@ constexpr const char* usage =
 Options parse(int argc, char** argv) {
     if (argc < 5) throw std::invalid_argument("expected a width, a height, samples a pixel and a file to write");
     Options options;
-    options.width = static_cast<std::uint32_t>(number(argv[1], "WIDTH", 1, 65535));
-    options.height = static_cast<std::uint32_t>(number(argv[2], "HEIGHT", 1, 65535));
+    options.width = static_cast<std::uint32_t>(whole(argv[1], "WIDTH", 1, 65535));
+    options.height = static_cast<std::uint32_t>(whole(argv[2], "HEIGHT", 1, 65535));
     options.spp = number(argv[3], "SPP", 1e-3, 1e6);
     options.output = argv[4];
     for (int i = 5; i < argc; ++i) {
         const std::string name = argv[i];
-        const auto value = [&](double low, double high) {
+        const auto value = [&] {
             if (i + 1 == argc) throw std::invalid_argument(name + " expects a number after it");
-            return number(argv[++i], name.c_str(), low, high);
+            return argv[++i];
         };
         if (name == "--uniform") options.uniform = true;
-        else if (name == "--seed") options.seed = static_cast<std::uint64_t>(value(0, 1e15));
-        else if (name == "--threads") options.threads = static_cast<unsigned>(value(1, 1024));
-        else if (name == "--reference") options.reference = value(1, 1e6);
+        else if (name == "--seed") options.seed = whole(value(), "--seed", 0, 1e15);
+        else if (name == "--threads") options.threads = static_cast<unsigned>(whole(value(), "--threads", 1, 1024));
+        else if (name == "--reference") options.reference = number(value(), "--reference", 1, 1e6);
         else throw std::invalid_argument("unknown option '" + name + "'");
     }
     return options;
@@ -150,8 +161,10 @@ Options parse(int argc, char** argv) {
 
 int main(int argc, char** argv) {
     try {
-        const Options options = parse(argc, argv);
-        check_writable(options.output);
+        for (int i = 1; i < argc; ++i)
+            if (argv[i] == std::string("--help") || argv[i] == std::string("-h")) return std::fputs(usage, stdout) < 0;
+        Options options = parse(argc, argv);
+        options.output = checked_output(options.output);
         const Render result = render(options, options.spp, options.seed, options.uniform);
         write_pfm(options, result.image);
         std::printf("samples %llu\nseconds_renderer %.3f\nseconds_sampler %.3f\n", static_cast<unsigned long long>(result.samples), result.renderer, result.sampler);

@@ -92,7 +92,7 @@ def _render(p: argparse.ArgumentParser) -> None:
         "--visible-noise",
         type=share,
         metavar="F",
-        help="stop when at most the share F of pixels shows noise, 0 to 1",
+        help="stop when at most the share F of pixels shows noise, above 0 and below 1",
     )
     p.add_argument("--config", type=Path, metavar="FILE.toml", help="settings of the sampler that replace the method's")
     p.add_argument("-o", "--output", type=Path, metavar="OUT.exr", help="default: SCENE.exr in this folder")
@@ -252,10 +252,10 @@ def positive(text: str) -> float:
 
 
 def share(text: str) -> float:
-    """A number from 0 to 1."""
+    """A number between 0 and 1."""
     number = _number(text)
-    if not 0.0 <= number <= 1.0:
-        raise argparse.ArgumentTypeError(f"{text!r} is not a share from 0 to 1")
+    if not 0.0 < number < 1.0:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a share above 0 and below 1")
     return number
 
 

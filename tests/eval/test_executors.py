@@ -212,6 +212,8 @@ def test_the_command_renders_on_the_workers(
     capsys.readouterr()
     assert main([*words, "-o", str(tmp_path / "none.exr"), "--scheduler", "tcp://127.0.0.1:9"]) == 2
     assert "no Dask scheduler answers" in capsys.readouterr().err
+    assert main([*words, "-o", str(tmp_path / "none.exr"), "--scheduler", "foo"]) == 2
+    assert "'foo' is no address of a Dask scheduler; give one such as tcp://host:8786" in capsys.readouterr().err
     assert not (tmp_path / "none.exr").exists()
 
 

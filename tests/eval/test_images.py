@@ -116,3 +116,16 @@ def test_a_missing_library_is_one_sentence(monkeypatch: pytest.MonkeyPatch, tmp_
     monkeypatch.setitem(sys.modules, "OpenImageIO", None)
     with pytest.raises(images.ImageError, match=r"pip install 'pmc-sampler\[eval\]'"):
         images.write_png(tmp_path / "a.png", np.zeros((2, 2, 3)))
+
+
+def test_links_stay_and_pipes_are_refused(tmp_path: Path) -> None:
+    image = np.full((2, 3, 3), 0.5, np.float32)
+    (tmp_path / "a.exr").write_text("of before")
+    (tmp_path / "link.exr").symlink_to("a.exr")
+    images.write_exr(images.check_writable(tmp_path / "link.exr"), image)
+    assert (tmp_path / "link.exr").is_symlink()
+    np.testing.assert_array_equal(images.read(tmp_path / "a.exr").rgb, image)
+    os.mkfifo(tmp_path / "pipe.exr")
+    with pytest.raises(images.ImageError, match=r"pipe\.exr' is no regular file; name another"):
+        images.check_writable(tmp_path / "pipe.exr")
+    assert sorted(os.listdir(tmp_path)) == ["a.exr", "link.exr", "pipe.exr"]

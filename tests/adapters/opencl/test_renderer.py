@@ -324,3 +324,20 @@ def test_programs_come_from_the_cache(tmp_path: Path) -> None:
         subprocess.run([sys.executable, "-c", text], check=True, env=environment)
         counts.append(len(list(tmp_path.rglob("*.so"))))
     assert counts[0] == counts[1] > 0
+
+
+def test_without_a_folder_for_caches(tmp_path: Path) -> None:
+    """PoCL has no device then, unless it is given a folder; that is gone afterwards."""
+    environment = {**os.environ, "HOME": "/proc/none", "TMPDIR": str(tmp_path), "XDG_CACHE_HOME": ""}
+    environment.pop("POCL_CACHE_DIR", None)
+    program = (
+        "from pmc_sampler import Budget, adapters, render\n"
+        "radiance = adapters.load('opencl', 'cornell-box', size=(8, 6))\n"
+        "print(render(radiance, 8, 6, Budget(spp=1)).samples)"
+    )
+    process = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=environment, cwd=tmp_path, check=False
+    )
+    assert process.returncode == 0, process.stderr
+    assert process.stdout == "48\n"
+    assert list(tmp_path.iterdir()) == []
