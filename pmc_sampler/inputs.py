@@ -10,17 +10,19 @@ import numpy as np
 
 def flag(name: str, value: Any) -> bool:
     """The value, which must be True or False. Raises TypeError."""
-    if not isinstance(value, bool):
+    if not isinstance(value, (bool, np.bool_)):
         raise TypeError(f"{name} is {value!r}: expected True or False")
-    return value
+    return bool(value)
 
 
 def number(name: str, value: Any, allow_infinity: bool = True) -> float:
     """The value as a float; not of text, and no NaN. Raises TypeError or ValueError."""
-    if isinstance(value, (bool, str, bytes)):
+    if isinstance(value, (bool, np.bool_, str, bytes)):
         raise TypeError(f"{name} is {value!r}: expected a number")
     try:
         converted = float(value)
+    except OverflowError:
+        raise ValueError(f"{name} is too large: expected a number that a float can hold") from None
     except (TypeError, ValueError):
         raise TypeError(f"{name} is {value!r}: expected a number") from None
     if math.isnan(converted) or (math.isinf(converted) and not allow_infinity):

@@ -159,7 +159,7 @@ class MitsubaRenderer:
             )
             out = radiance.numpy().reshape(-1, channels)
         # One row where radiance is the same everywhere.
-        return np.ascontiguousarray(np.broadcast_to(out[:n], (n, channels)), np.float32)
+        return np.ascontiguousarray(out[:n] if len(out) >= n else np.repeat(out, n, axis=0), np.float32)
 
     def _aligned(self, name: str, values: NDArray[Any], dtype: Any) -> NDArray[Any]:
         """`values` as a contiguous aligned array: itself if it is one, else a copy in a buffer that is kept

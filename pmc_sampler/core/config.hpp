@@ -53,7 +53,7 @@ struct Config {
     std::uint32_t adapt_alpha_every = 10; // iterations, at least 1
     std::uint32_t adapt_beta_every = 1;   // iterations, at least 1
     double alpha_floor = 0.1;             // epsilon in alpha_k = epsilon / K + (1 - epsilon) share_k, in [0, 1]
-    double alpha_memory = 0.25;           // how far the remembered alpha moves to a member's, in [0, 1]; 0 remembers nothing
+    double alpha_memory = 0.25;           // how far the remembered alpha moves to a member's, in [0, 1]; 0: members start from equal shares
     Beta beta = Beta::gain;
     double beta_power = 2.0;              // pixels are drawn in proportion to beta to this power, in [0.25, 2]
 

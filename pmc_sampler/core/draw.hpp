@@ -103,12 +103,12 @@ inline void Sampler::draw_adaptive(Batch& batch, std::uint64_t left, float passe
     } else {
         remember();
     }
-    // Members are put where samples go, evenly spaced among these: a draw of their own is worth it where there are too few of them.
+    // Members are put where samples go, evenly spaced among these from anywhere on; a draw of their own is worth it where they are more.
     member_slots_.resize(members);
     if (members > direct)
         beta(members, offset.uniform(1), member_slots_.data(), nullptr, threads_, [] {});
     else
-        for (std::size_t i = 0; i < members; ++i) member_slots_[i] = proposals_.direct[(2 * i + 1) * direct / (2 * members)];
+        for (std::size_t i = 0, first = direct * std::uint64_t(offset.word(1)) >> 32; i < members; ++i) member_slots_[i] = proposals_.direct[(i * direct + first) / members];
     regenerate(batch);
     fill(batch, size - direct);
 }

@@ -67,11 +67,13 @@ PMC_MULTIVERSION inline void count_draws(const TileWeights& w, double scale, dou
         place = c + 1 < Tiling::side ? std::min(place + scale * static_cast<double>(w.column[c]), most) : most;
         up_to[c] = static_cast<float>(static_cast<double>(static_cast<std::int64_t>(place)) - before);
     }
+    // In two steps: where weights are next to nothing, their scale is beyond floats.
+    const float large = scale > 0x1p100 ? 0x1p100f : 1.0f, rest = static_cast<float>(scale / static_cast<double>(large));
     Counts until = {};
     for (std::uint32_t row = 0; row < Tiling::side; ++row) {
         Row weight;
         std::memcpy(&weight, w.pixel + row * Tiling::side, sizeof(Row));
-        at += weight * static_cast<float>(scale);
+        at += weight * large * rest;
         const Counts now = __builtin_convertvector(at < up_to ? at : up_to, Counts), draws = now - until;
         std::memcpy(counts + row * Tiling::side, &draws, sizeof(Counts));
         until = now;

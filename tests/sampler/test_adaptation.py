@@ -134,6 +134,41 @@ def test_draws_are_unbiased(renderers: SimpleNamespace) -> None:
     assert (abs(fixed - share) > 5.5 * error).any()
 
 
+def test_members_are_regenerated_without_bias(renderers: SimpleNamespace, tools: Any) -> None:
+    """The same for 37 members that are put at some of 337 draws: each pixel's mean count over 600 batches within 5.5
+    standard errors of its share. The negative control puts them at every ninth draw from the same one on.
+    """
+    config = Config(
+        direct_share=0.82,
+        pool_share=0.0,
+        initial_spp=8.0,
+        population=37,
+        moves=1,
+        radii=(0.001,),
+        eliminate=1.0,
+        beta="variance",
+        beta_power=1.0,
+    )
+    sampler = Sampler(10, 10, Budget(spp=50), config, seed=5)
+    while sampler.samples < 800:
+        batch = sampler.ask()
+        sampler.tell(batch, renderers.textured(batch))
+    weight = sampler.film.beta.ravel().astype(np.float64)
+    share = 37 * weight / weight.sum()
+    counts = []
+    for _ in range(600):
+        batch = sampler.ask()
+        members = tools.members(sampler)
+        assert len(members) == 37
+        counts.append(np.bincount(members["y"].astype(int) * 10 + members["x"].astype(int), minlength=100))
+        sampler.drop(batch)
+    assert 330 < len(batch) - 2 * 37 < 345
+    error = np.sqrt(np.maximum(share % 1 * (1 - share % 1), 0.01) / 600)
+    assert (abs(np.mean(counts, axis=0) - share) < 5.5 * error).all()
+    fixed = np.bincount(np.searchsorted(np.cumsum(share), np.arange(37) + 0.5), minlength=100)
+    assert (abs(fixed - share) > 5.5 * error).any()
+
+
 # --- alpha (4.3.3) ---------------------------------------------------------------------------------------------------
 def free(**changes: Any) -> Config:
     settings: dict[str, Any] = {

@@ -344,3 +344,15 @@ def test_more_memory_than_there_is() -> None:
     )
     assert process.returncode == 1
     assert "MemoryError: an image of 20000x20000 needs 35.0 GiB of film, more than there is" in process.stderr
+
+
+def test_numbers_that_no_float_can_hold() -> None:
+    for make in (lambda huge: Budget(spp=huge), lambda huge: Config(white_luminance=huge)):
+        with pytest.raises(ValueError, match="is too large: expected a number that a float can hold"):
+            make(10**400)
+
+
+def test_numpy_s_booleans_are_booleans() -> None:
+    assert Sampler(4, 4, Budget(spp=1), signed=np.True_).signed is True  # type: ignore[arg-type]
+    with pytest.raises(TypeError, match="expected a number"):
+        Budget(spp=np.True_)  # type: ignore[arg-type]

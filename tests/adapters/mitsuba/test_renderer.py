@@ -54,6 +54,10 @@ def test_what_comes_back(mi: Any, small_scene: Any, batch_of: Any) -> None:
     assert radiance.dtype == np.float32
     assert np.isfinite(radiance).all()
     assert (radiance >= 0).all()
+    kept = radiance.copy()
+    r(batch_of(32, 32, 2, 2))
+    assert np.array_equal(radiance, kept)
+    radiance *= 2  # the caller's to change
     empty = batch_of(32, 32, 1, 1)[:0]
     assert r(empty).shape == (0, 3)
 
