@@ -69,8 +69,8 @@ def load(renderer: str, scene: Any, **options: Any) -> Any:
 
 def takes(renderer: str, option: str) -> bool:
     """Whether a renderer has that option of `load`. Raises as `load` does for the renderer."""
-    parameters = inspect.signature(_found(renderer)).parameters
-    return option in parameters or any(one.kind is one.VAR_KEYWORD for one in parameters.values())
+    known = _options(_found(renderer))
+    return known is None or option in known
 
 
 def native_settings(renderer: str) -> list[str]:
@@ -149,11 +149,16 @@ def _cannot_run(name: str) -> str:
     return f"the renderer {name!r} cannot run here: "
 
 
-def _check_options(name: str, kind: Callable[..., Any], options: dict[str, Any]) -> None:
+def _options(kind: Callable[..., Any]) -> list[str] | None:
+    """The options that a renderer's class or function has besides the scene; None where it takes any."""
     parameters = inspect.signature(kind).parameters
     if any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters.values()):
-        return
-    known = [option for option in parameters if option != "scene"]
+        return None
+    return [option for option in parameters if option != "scene"]
+
+
+def _check_options(name: str, kind: Callable[..., Any], options: dict[str, Any]) -> None:
+    known = _options(kind)
     for option in options:
-        if option not in known:
+        if known is not None and option not in known:
             raise TypeError(f"the renderer {name!r} has no option {option!r}; it has {', '.join(known)}")

@@ -249,13 +249,14 @@ class PovRayRenderer:
         """The scene's file, its options and the size, where one is settled."""
         if isinstance(scene, str | os.PathLike):
             file = Path(scene)
-            own = file.suffix.lower() in (".pov", ".inc", ".sdl", ".ini") or os.fspath(scene).endswith("]")
+            ini = file.suffix.lower() == ".ini" or os.fspath(scene).endswith("]")
+            own = ini or file.suffix.lower() in (".pov", ".inc", ".sdl")
             if own and (radiosity or photons):
                 raise ValueError(
                     f"radiosity and photons are options for scenes that are exported to POV-Ray; {scene} is POV-Ray's "
                     "own: turn them on in its global_settings"
                 )
-            if file.suffix.lower() == ".ini" or os.fspath(scene).endswith("]"):
+            if ini:
                 read = options.read([os.fspath(scene), *given])
                 if read.scene is None:
                     raise ValueError(f"the INI file {scene} names no scene (Input_File_Name=SCENE.pov)")

@@ -105,6 +105,15 @@ def test_samples_under_way_count_as_taken(renderers: Any) -> None:
     assert surprised > 4
 
 
+def textured_sampler(config: Config, renderers: SimpleNamespace) -> tuple[Sampler, np.ndarray]:
+    """A sampler of 10x10 pixels that was told 8 samples a pixel, and beta of each pixel."""
+    sampler = Sampler(10, 10, Budget(spp=50), config, seed=5)
+    while sampler.samples < 800:
+        batch = sampler.ask()
+        sampler.tell(batch, renderers.textured(batch))
+    return sampler, sampler.film.beta.ravel().astype(np.float64)
+
+
 def test_draws_are_unbiased(renderers: SimpleNamespace) -> None:
     """Over random offsets the mean count of every pixel is its share: 600 draws of 37 from 100 pixels, each pixel
     within 5.5 standard errors (a false alarm in 2 x 10^5). The negative control is an offset that is always 0.5.
@@ -114,11 +123,7 @@ def test_draws_are_unbiased(renderers: SimpleNamespace) -> None:
     config = Config(
         direct_share=1.0, pool_share=0.0, initial_spp=8.0, lookahead=0, batch=37, beta="variance", beta_power=1.0
     )
-    sampler = Sampler(10, 10, Budget(spp=50), config, seed=5)
-    while sampler.samples < 800:
-        batch = sampler.ask()
-        sampler.tell(batch, renderers.textured(batch))
-    weight = sampler.film.beta.ravel().astype(np.float64)
+    sampler, weight = textured_sampler(config, renderers)
     share = 37 * weight / weight.sum()
     counts = []
     for _ in range(600):
@@ -149,11 +154,7 @@ def test_members_are_regenerated_without_bias(renderers: SimpleNamespace, tools:
         beta="variance",
         beta_power=1.0,
     )
-    sampler = Sampler(10, 10, Budget(spp=50), config, seed=5)
-    while sampler.samples < 800:
-        batch = sampler.ask()
-        sampler.tell(batch, renderers.textured(batch))
-    weight = sampler.film.beta.ravel().astype(np.float64)
+    sampler, weight = textured_sampler(config, renderers)
     share = 37 * weight / weight.sum()
     counts = []
     for _ in range(600):
